@@ -13,9 +13,7 @@ from typing import Any
 import pytest
 
 import ssac
-from experiments.report.animation import make_animation
-from experiments.report.data import load_results
-from experiments.report.report import report_page
+from experiments.report.report import make_animation, read_results, report_page
 from ssac.camera import Camera
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -58,7 +56,7 @@ def pages(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]
     ssac.sync(tracks, [Camera(K, WIDTH, HEIGHT)] * 3).report(found["several"])
     record_flight(folder / "flight")
     write_results(folder, made_up_runs(flights=2))
-    page = report_page(load_results(folder), make_animation(folder / "flight"))
+    page = report_page(read_results(folder), make_animation(folder / "flight"))
     found["results"].write_text(page, encoding="utf-8")
     return found
 

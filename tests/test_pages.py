@@ -23,6 +23,7 @@ _MADE = "results/"  # by commands; what must be there is `ssac verify`'s to say
 def test_the_folders_of_the_architecture_are_those_there_are() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     told = re.findall(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", text, re.MULTILINE)
+    assert all((ROOT / package / "py.typed").is_file() for package in FLOORS)
     there = [
         f"{package}/{folder.name}/"
         for package in FLOORS
@@ -45,7 +46,7 @@ def test_the_way_of_a_recording_follows_the_arrows() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_paths_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere_and_lines_fit(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     links = [
         link for link in _LINK.findall(text) if not link.startswith("http") and _MADE not in link
@@ -54,19 +55,12 @@ def test_links_and_paths_lead_somewhere(page: Path) -> None:
     if page.name != "CHANGELOG.md":  # which may tell of what was
         paths = [p for p in _PATH.findall(text) if "NAME" not in p]
         assert not [path for path in paths if not (ROOT / path).exists()]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_lines_fit(page: Path) -> None:
+    # A comment at the start of a line would end the paragraph and show the line as it is written.
+    assert not re.findall(r"^ *<!--n:(?!table).*", text, re.MULTILINE)
     # Without comments: the name of a quoted number is not shown, and its text may change. A row of
     # a table cannot be broken.
-    lines = re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8")).splitlines()
-    wide = [
-        f"{page.name}:{i}"
-        for i, line in enumerate(lines, 1)
-        if len(line) > MAX_WIDTH and not line.startswith("|")
-    ]
-    assert not wide
+    lines = re.sub(r"<!--.*?-->", "", text).splitlines()
+    assert not [one for one in lines if len(one) > MAX_WIDTH and not one.startswith("|")]
 
 
 def test_the_pages_are_short_enough_to_be_read() -> None:
@@ -89,15 +83,3 @@ def test_how_to_cite_names_this_version_and_the_paper() -> None:
     assert citation["license"] == "MIT"
     assert len(citation["preferred-citation"]["authors"]) == 5
     assert f"## [{citation['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-
-
-def test_the_packages_carry_their_types() -> None:
-    for package in FLOORS:
-        assert (ROOT / package / "py.typed").is_file()
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_quoted_number_does_not_begin_a_line(page: Path) -> None:
-    # A comment at the start of a line would end the paragraph and show the line as it is written.
-    text = page.read_text(encoding="utf-8")
-    assert not re.findall(r"^ *<!--n:(?!table).*", text, re.MULTILINE)

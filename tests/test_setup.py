@@ -38,8 +38,25 @@ EGL = ("libegl1", "libgl1", "libegl-mesa0", "libgl1-mesa-dri")
 ROOT_ID, USER_ID = 0, 1000
 
 
-def set_up(folder: Path, gl: str, offered: tuple[str, ...], user: int = ROOT_ID, broken: str = ""):
-    """Return how `make setup` ended, and the system's packages that it installed."""
+@pytest.mark.parametrize(
+    ("gl", "offered", "user", "broken", "installs", "says"),
+    [
+        ("osmesa", (OSMESA, *EGL), ROOT_ID, "", [], ""),
+        ("egl", (OSMESA, *EGL), ROOT_ID, "", [OSMESA], ""),
+        ("egl", (OSMESA, *EGL), USER_ID, "", [], "make setup: rendering with EGL, as OSMesa is"),
+        ("egl", EGL, ROOT_ID, "", [], "make setup: rendering with EGL, as OSMesa is not here"),
+        ("egl", (OSMESA, *EGL), ROOT_ID, "yes", [], "make setup: rendering with EGL, as OSMesa is"),
+        ("", (OSMESA, *EGL), ROOT_ID, "", ["libegl1", "libgl1", OSMESA], ""),
+        ("", EGL, ROOT_ID, "", list(EGL), "rendering with EGL"),
+        ("", (OSMESA, *EGL), USER_ID, "", None, f"apt-get install libegl1 libgl1 {OSMESA}"),
+    ],
+    ids=["OSMesa is there", "EGL is there", "EGL, no root", "EGL, OSMesa is not offered",
+         "EGL, OSMesa cannot be downloaded", "nothing is there", "nothing, only EGL is offered",
+         "nothing, no root"],
+)  # fmt: skip
+def test_what_is_lacking_is_installed_or_named(tmp_path, gl, offered, user, broken, installs, says):
+    """OSMesa comes first, and an EGL that works is enough; `installs` is None where it fails."""
+    folder = tmp_path
     tools = folder / "tools"
     tools.mkdir()
     (folder / "gl").write_text(gl)
@@ -56,49 +73,7 @@ def set_up(folder: Path, gl: str, offered: tuple[str, ...], user: int = ROOT_ID,
         ["make", "setup", "PYTHON="], cwd=folder, capture_output=True, text=True, check=False,
         env={"PATH": path, "MACHINE": str(folder), "BROKEN": broken},
     )  # fmt: skip
-    return done, (folder / "installed").read_text().split()
-
-
-def test_where_osmesa_is_nothing_is_installed(tmp_path):
-    done, installed = set_up(tmp_path, "osmesa", (OSMESA, *EGL))
-    assert done.returncode == 0
-    assert installed == []
-    assert "EGL" not in done.stderr
-
-
-def test_osmesa_is_installed_beside_an_egl_that_works(tmp_path):
-    done, installed = set_up(tmp_path, "egl", (OSMESA, *EGL))
-    assert done.returncode == 0
-    assert installed == [OSMESA]
-    assert "EGL" not in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("offered", "user", "broken"),
-    [((OSMESA, *EGL), USER_ID, ""), (EGL, ROOT_ID, ""), ((OSMESA, *EGL), ROOT_ID, "yes")],
-    ids=["no root", "not offered", "cannot be downloaded"],
-)
-def test_an_egl_that_works_is_enough(tmp_path, offered, user, broken):
-    done, installed = set_up(tmp_path, "egl", offered, user, broken)
-    assert done.returncode == 0
-    assert installed == []
-    assert "make setup: rendering with EGL, as OSMesa is not here" in done.stderr
-
-
-def test_without_opengl_osmesa_comes_first(tmp_path):
-    done, installed = set_up(tmp_path, "", (OSMESA, *EGL))
-    assert done.returncode == 0
-    assert installed == ["libegl1", "libgl1", OSMESA]
-
-
-def test_without_opengl_egl_is_installed_where_there_is_no_osmesa(tmp_path):
-    done, installed = set_up(tmp_path, "", EGL)
-    assert done.returncode == 0
-    assert installed == list(EGL)
-    assert "rendering with EGL" in done.stderr
-
-
-def test_without_opengl_and_root_it_says_what_is_lacking(tmp_path):
-    done, _ = set_up(tmp_path, "", (OSMESA, *EGL), USER_ID)
-    assert done.returncode != 0
-    assert f"apt-get install libegl1 libgl1 {OSMESA}" in done.stderr
+    assert (done.returncode == 0) == (installs is not None)
+    assert (folder / "installed").read_text().split() == (installs or [])
+    assert says in done.stderr
+    assert ("EGL" in done.stderr) == ("EGL" in says)

@@ -1,17 +1,22 @@
-"""Errors of methods against the angle: beside the paper's, of the refinements, over their bounds.
+"""Errors of methods against the angle, and against whatever an ablation varies.
 
-Each figure has a row of axes for each error and a column for each duration. A marker is the mean
-over flights and offsets. Runs that failed have no error; a legend counts them.
+Of the tables each figure has a row of axes for each error and a column for each duration; a marker
+is the mean over flights and offsets. Of an ablation a row is a method and a column an error, with
+one line for each angle or whatever else the grid varies. Runs that failed have no error: a mean of
+the others is hollow.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
@@ -20,26 +25,43 @@ from experiments.drawing.style import (
     SURVIVORS,
     Figure,
     Look,
+    Named,
     legend_below,
     mark_survivors,
     method_looks,
     panels,
+    value_color,
 )
+from experiments.lab.grid import FigureConfig, GridConfig, configs_of
+from experiments.lab.summary import answered
 from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity
+from sim.scene.flyers import quadrotor
+from ssac.config import N_MIN
 from ssac.errors import SsacError
 
 REFINED = ("ssac", "joint", "tangency")
 """Methods without the extrinsics, from the paper's on; each starts from the one before."""
 
+FAILED = "failed"
+
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ANGLE_STEP_DEG = 30.0  # at most
-
 _PAPER = Look("#555555", "*")
 _THRESHOLD = 1.0  # of each error, in its unit: the largest of the success curves
 _MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
+
+# Of an ablation's line, by the parameter that it stands for.
+_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}",
+          "sim.t_d_s": "offset {:g} s",
+          "ssac.rules.tangency.joins_body": "body joined: {}"}  # fmt: skip
+_MARKERS = "osD^vPX"
+_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
+_LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
+_MAX_VALUES = 6  # of the parameter, all of which are written below the axis
+_SHORT = 10.0**1.6  # largest over least up to which an axis is labelled at 1, 2 and 5
 
 
 def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
@@ -56,7 +78,7 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         for method, shift_deg in _columns(drawn, 0.84 * step_deg):
             look = looks[method]
             own = part[part["method"] == method]
-            ok = _answered(own, error.column)
+            ok = _with_error(own, error)
             if len(ok):
                 axes.plot(
                     ok["angle_deg"] + shift_deg, ok[error.column].clip(lower=_LEAST), ls="none",
@@ -79,13 +101,14 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         own = runs[runs["method"] == method]
         failed = int((own["status"] != "ok").sum())
         labelled[f"{method} ({failed} of {len(own)} failed)" if failed else method] = look
-    styles = (
+    handles = _handles(
+        labelled,
+        0.8,
         ("the paper's mean", {"marker": "*", "ls": ":", "ms": 9}),
         STANDARD_ERROR,
         ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
-        *([SURVIVORS] if (runs["status"] != "ok").any() else []),
+        *_survivors(runs),
     )
-    handles = _handles(labelled, 0.8, *styles)
     ratios = {"height_ratios": (1.7, 1.0, 1.0)}
     title = "Mean errors of all methods, beside the paper's"
     return _error_grid(title, runs, 10.0, draw, handles, 0.85 * _LEAST, **ratios)
@@ -96,8 +119,7 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
 
     A method without runs is left out; SsacError if no run is of one of REFINED.
     """
-    there = set(runs["method"])
-    methods = [method for method in REFINED if method in there]
+    methods = [method for method in REFINED if method in set(runs["method"])]
     if not methods:
         raise SsacError(f"expected runs of {', '.join(REFINED)}, got none of these")
     looks = method_looks(methods)
@@ -121,13 +143,14 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
         axes.set_ylim(0.9 * min(within), 1.1 * max(within))
 
     first = Line2D([], [], color=_PAPER.color, marker="*", ls=":", ms=9, label="the paper")
-    styles = (
-        STANDARD_ERROR,
-        ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0}),
-        *([SURVIVORS] if (runs.loc[runs["method"].isin(methods), "status"] != "ok").any() else []),
-    )
+    mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
+    others = STANDARD_ERROR, mark, *_survivors(runs[runs["method"].isin(methods)])
     title = "Mean errors of each refinement, beside the paper's"
-    return _error_grid(title, runs, 8.4, draw, [first, *_handles(looks, 1.2, *styles)])
+    return _error_grid(title, runs, 8.4, draw, [first, *_handles(looks, 1.2, *others)])
+
+
+def _survivors(runs: pd.DataFrame) -> list[Named]:
+    return [SURVIVORS] if (runs["status"] != "ok").any() else []
 
 
 def efficiency_figure(cells: pd.DataFrame) -> Figure:
@@ -141,9 +164,8 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
 
     def draw(axes: Axes, _: float, part: pd.DataFrame, error: Quantity) -> None:
         columns = [f"{error.parameter}_{kind}_{error.unit}" for kind in ("bound", "rms")]
-        drawn = [
-            m for m in looks if cells.loc[cells["method"] == m, columns].notna().all(axis=None)
-        ]
+        there = cells[columns].notna().all(axis=1).groupby(cells["method"]).all()
+        drawn = [method for method in looks if there[method]]
         for method, shift_deg in _columns(drawn, 0.7 * _ANGLE_STEP_DEG):
             look, values = looks[method], pooled(part[part["method"] == method], columns)
             x = values.index.to_numpy(np.float64) + shift_deg
@@ -152,12 +174,10 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
             axes.plot(x, bounds, ls="none", marker="_", ms=8, mew=1.8, color=look.color, zorder=3)
             axes.plot(x, errors, ls="none", ms=5, zorder=4, **look.style)
 
-    styles = (
-        ("root mean square error", {"marker": "o", "ms": 5, "lw": 0}),
-        ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0}),
-    )
+    rms = ("root mean square error", {"marker": "o", "ms": 5, "lw": 0})
+    bound = ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0})
     title = "Errors, and the least that the flights' noise allows"
-    return _error_grid(title, cells, 8.4, draw, _handles(looks, 0, *styles))
+    return _error_grid(title, cells, 8.4, draw, _handles(looks, 0, rms, bound))
 
 
 def success_figure(runs: pd.DataFrame, _: Any = None) -> Figure:
@@ -177,7 +197,7 @@ def success_figure(runs: pd.DataFrame, _: Any = None) -> Figure:
                 of, there = part[part["method"] == method], runs["method"] == method
                 if runs.loc[there, error.column].isna().all():
                     continue  # it gives none
-                ok = np.sort(_answered(of, error.column)[error.column].to_numpy(np.float64))
+                ok = np.sort(_with_error(of, error)[error.column].to_numpy(np.float64))
                 shares = 100.0 * np.arange(len(ok) + 1) / max(len(of), 1)
                 left = np.clip(1.0 - ok / _THRESHOLD, 0.0, None).sum() / max(len(of), 1)
                 axes.step(
@@ -216,11 +236,7 @@ def _error_grid(
             axes.set(yscale="log", xticks=angles_deg)
             if bottom is not None:
                 axes.set_ylim(bottom=bottom)
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter("")
-            if bottom is None or error is not T_D_ERROR:
-                axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-                axes.yaxis.set_minor_locator(NullLocator())
+            _label_log_axis(axes.yaxis, bottom is None or error is not T_D_ERROR)
         row[0].set_ylabel(error.label)
     for column, duration_s in zip(grid.T, durations_s, strict=True):
         column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
@@ -240,7 +256,7 @@ def flight_means(runs: pd.DataFrame, error: str) -> pd.DataFrame:
 
     All offsets of a flight share its recording, so a flight counts once in the standard error.
     """
-    ok = _answered(runs, error)
+    ok = _with_error(runs, ERRORS[error])
     of_flight = ok.groupby(["angle_deg", "flight"])[error].mean().groupby("angle_deg")
     standard_error = of_flight.std(ddof=0) / np.sqrt(of_flight.size())
     by_angle = ok.groupby("angle_deg")[error]
@@ -258,13 +274,13 @@ def published_means(
 
     None where the paper has none.
     """
-    columns = [q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == (method, error)]
+    start = {q.name: q.published for q in PUBLISHED_ERRORS}.get(f"{method}_{error}")
     table = published.get(duration_s)
-    if table is None or not columns or f"{columns[0]}_mean" not in table:
+    if table is None or f"{start}_mean" not in table:
         return None
-    by_angle = table.assign(variance=table[f"{columns[0]}_std"] ** 2).groupby("angle_deg")
+    by_angle = table.assign(variance=table[f"{start}_std"] ** 2).groupby("angle_deg")
     standard_error = np.sqrt(by_angle["variance"].mean() / PUBLISHED_RUNS)
-    means = by_angle[f"{columns[0]}_mean"].mean()
+    means = by_angle[f"{start}_mean"].mean()
     return pd.DataFrame({"mean": means, "standard_error": standard_error})
 
 
@@ -277,8 +293,9 @@ def pooled(cells: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
     return result
 
 
-def _answered(runs: pd.DataFrame, error: str) -> pd.DataFrame:
-    return runs[(runs["status"] == "ok") & runs[error].notna()]
+def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:
+    ok = answered(runs)
+    return ok[ok[error.column].notna()]
 
 
 def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **style: Any) -> None:
@@ -292,11 +309,150 @@ def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **
         mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], **marks)
 
 
-def _handles(
-    looks: Mapping[str, Look], width: float, *others: tuple[str, Mapping[str, Any]]
-) -> list[Line2D]:
+def _handles(looks: Mapping[str, Look], width: float, *others: Named) -> list[Line2D]:
     """Name looks in a legend, then other marks."""
     named = [
         Line2D([], [], lw=width, ms=5, label=name, **look.style) for name, look in looks.items()
     ]
-    return named + [Line2D([], [], label=text, **{"color": "0.3", **st}) for text, st in others]
+    return named + _named(*others)
+
+
+def _named(*marks: Named) -> list[Line2D]:
+    return [Line2D([], [], label=text, **{"color": "0.3", **style}) for text, style in marks]
+
+
+def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
+    """Draw an ablation of its means, one row for each point of the grid and method.
+
+    SsacError if the means lack a column.
+    """
+    look = grid.figure
+    assert look is not None
+    # Each axis of the grid, but for the one on which x moves, by its first parameter.
+    others = [next(iter(axis[0])) for axis in grid.axes if look.x not in axis[0]]
+    columns = [look.x, *others, "method", "n_runs", FAILED]
+    columns += [f"{error}_{part}" for error in ERRORS for part in ("mean", "std")]
+    absent = [column for column in columns if column not in means]
+    if absent:
+        raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
+
+    methods = method_order(means["method"])
+    labels = {name: error.label for name, error in ERRORS.items()
+              if means[f"{name}_mean"].notna().any()}  # fmt: skip
+    if (means[FAILED] > 0).any():
+        labels[FAILED] = "failed runs [%]"
+    shape = len(methods), len(labels)
+    figure, rows = panels("", 1.4 + 2.0 * shape[0], *shape, sharex=True, sharey="col")
+    lines = _lines(means, others)
+    for row, method in zip(rows, methods, strict=True):
+        for axes, quantity in zip(row, labels, strict=True):
+            for part, style in lines.values():
+                _draw_line(axes, part[part["method"] == method], look, quantity, style)
+        row[0].set_ylabel(method, weight="bold")
+    for axes, (quantity, label) in zip(rows[0], labels.items(), strict=True):
+        axes.set_title(label, fontsize=10)
+        _set_scales(axes, means, look, quantity)
+    default = look.scale * default_value(look.x)
+    on_axis = default > 0.0 or not look.log
+    for axes in rows.flat if on_axis else ():
+        axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
+    figure.supxlabel(look.label, fontsize=10)
+    said = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
+    handles = [
+        *(
+            Line2D([], [], label=name, lw=1.2, ms=4.5, **style)
+            for name, (_, style) in lines.items()
+        ),
+        Line2D([], [], color="0.4", ls="--" if on_axis else "none", label=said),
+        *_named(STANDARD_ERROR, *([SURVIVORS] if FAILED in labels else [])),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3 if len(handles) <= 6 else 4,
+                  fontsize=8, frameon=False, title=grid.title, title_fontsize=12)  # fmt: skip
+    return figure
+
+
+def default_value(name: str) -> float:
+    """Give the default of a parameter by its dotted name, in its own unit."""
+    if name == "sim.drone_size_m":  # whose default, None, leaves it to the drone
+        return quadrotor().size_m
+    if name == "ssac.n_min":  # whose default, None, may leave it to a thin object
+        return N_MIN
+    root, *path = name.split(".")
+    roots: dict[str, Any] = dict(zip(("sim", "ssac"), configs_of({}), strict=True))
+    return float(reduce(getattr, path, roots[root]))
+
+
+def _lines(
+    means: pd.DataFrame, others: list[str]
+) -> dict[str, tuple[pd.DataFrame, dict[str, Any]]]:
+    """Split the means by the other parameters: rows and look of each line, by what it is of.
+
+    The first parameter sets the colour (`style.value_color`). A second one sets marker and dashes;
+    the first sets the marker where it is alone.
+    """
+    if not others:
+        return {"mean": (means, {"color": value_color("", 0, 0.0), "marker": "o", "ls": "-"})}
+    parts = list(means.groupby(others, sort=True))
+    n_inner = means[others[1]].nunique() if len(others) == 2 else 1
+    places = np.linspace(0.0, 1.0, len(parts) // n_inner)
+    lines = {}
+    for k, (key, part) in enumerate(parts):
+        outer, inner = divmod(k, n_inner)
+        kind = outer if n_inner == 1 else inner
+        look = {
+            "color": value_color(others[0], key[0], places[outer]),
+            "marker": _MARKERS[kind % len(_MARKERS)],
+            "ls": _DASHES[inner % len(_DASHES)],
+        }
+        lines[", ".join(map(_line_name, others, key))] = part, look
+    return lines
+
+
+def _line_name(name: str, value: Any) -> str:
+    """Say in words which value of a parameter a line is of."""
+    if name == "sim.background_files":  # a list, as text
+        return ", ".join(re.findall(r"([\w-]+)\.\w+", str(value))) or "even sky"
+    return _NAMES.get(name, f"{name} = {{}}").format(value)
+
+
+def _draw_line(
+    axes: Axes, rows: pd.DataFrame, look: FigureConfig, quantity: str, style: dict[str, Any]
+) -> None:
+    """Draw means and their standard errors, which on a mean of errors never reach zero."""
+    rows = rows.sort_values(look.x)
+    x = look.scale * rows[look.x].to_numpy(np.float64)
+    if quantity == FAILED:
+        axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **style)
+    elif rows[f"{quantity}_mean"].notna().any():
+        n_ok = (rows["n_runs"] - rows[FAILED]).to_numpy(np.float64)
+        mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in ("mean", "std"))
+        error = std / np.sqrt(n_ok.clip(min=1))
+        axes.errorbar(x, mean, error, lw=1.2, ms=4.5, elinewidth=0.9, **style)
+        mark_survivors(axes, x, mean, n_ok, rows["n_runs"], ms=4.5, **style)
+
+
+def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
+    """Set both axes; those of a column share them."""
+    values = look.scale * np.unique(means[look.x].to_numpy(np.float64))
+    if look.log:
+        axes.set_xscale("log")
+        _label_log_axis(axes.xaxis, values.max() < _SHORT * values.min())
+    if len(values) <= _MAX_VALUES:
+        axes.set_xticks(values)
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.tick_params("x", labelsize=7)
+    found = means[FAILED if quantity == FAILED else f"{quantity}_mean"]
+    if quantity == FAILED or found.max() < _LOG_FROM * found.min():
+        axes.set_ylim(bottom=0.0)
+    else:
+        axes.set_yscale("log")
+        _label_log_axis(axes.yaxis, found.max() < _SHORT * found.min())
+
+
+def _label_log_axis(axis: Axis, is_short: bool) -> None:
+    """Write plain numbers, and enough of them, on a logarithmic axis."""
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
+    if is_short:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_minor_locator(NullLocator())

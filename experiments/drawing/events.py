@@ -1,10 +1,4 @@
-"""The paper's Fig. 3, 4 and 5, and the alignment of two cameras, each of one recording.
-
-Fig. 3  raw events, denoised events, and the object's positions p(t), in x-y-t
-Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are aligned
-Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
-Alignment: both cameras' events and epipolar lines, while the offset is turned to where it fits
-"""
+"""The paper's Fig. 3, 4 and 5, and the alignment of two cameras, each of one recording."""
 
 import io
 from pathlib import Path
@@ -16,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from PIL import Image
 
 from experiments.drawing.style import WIDTH_IN, quiet_axes
@@ -24,11 +17,7 @@ from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
-from ssac.geometry.epipolar import (
-    epipolar_distance,
-    epipolar_lines_1,
-    fundamental_from_pose,
-)
+from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
@@ -101,9 +90,10 @@ def preprocessing_figure(chain: Chain) -> Figure:
     p = np.where(track.valid[:, None], track.positions_px, np.nan)
 
     figure = Figure(figsize=(WIDTH_IN, 3.15))
+    n_raw, n_kept = (f"{len(events):,}".replace(",", " ") for events in (raw, kept))
     titles = (
-        f"(a) Raw events\n{_thousands(raw)}, one in {one_in} drawn",
-        f"(b) After denoising\n{_thousands(kept)}, one in {one_in} drawn",
+        f"(a) Raw events\n{n_raw}, one in {one_in} drawn",
+        f"(b) After denoising\n{n_kept}, one in {one_in} drawn",
         "(c) Position p(t) of the object\n"
         f"none where {2e3 * Config.half_window_s:g} ms hold fewer than {N_MIN} events",
     )
@@ -306,11 +296,6 @@ def _x_y_t_axes(axes: Any, camera: Camera) -> None:
     axes.patch.set_visible(False)
     axes.locator_params(nbins=4)
     axes.tick_params(labelsize=7, pad=-2)
-    names = {axes.xaxis: "t [s]", axes.yaxis: "x [px]", axes.zaxis: "y [px]"}
-    for axis, label in names.items():
-        axis.set_label_text(label, fontsize=8)
-        axis.labelpad = -6
-
-
-def _thousands(events: NDArray[np.void]) -> str:
-    return f"{len(events):,}".replace(",", " ")
+    axes.set_xlabel("t [s]", fontsize=8, labelpad=-6)
+    axes.set_ylabel("x [px]", fontsize=8, labelpad=-6)
+    axes.set_zlabel("y [px]", fontsize=8, labelpad=-6)

@@ -14,25 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes  # for studies that only name these types
+    from matplotlib.figure import Figure as Figure
 else:
     Axes = Figure = Any
-
-__all__ = [  # Axes and Figure too, for studies that only name these types
-    "STANDARD_ERROR",
-    "SURVIVORS",
-    "WIDTH_IN",
-    "Axes",
-    "Figure",
-    "Look",
-    "legend_below",
-    "mark_survivors",
-    "method_looks",
-    "panels",
-    "quiet_axes",
-    "value_color",
-]
 
 WIDTH_IN = 8.0
 """Of every figure; at DPI it is twice as wide as a README shows."""
@@ -44,14 +29,10 @@ _ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
 Named = tuple[str, dict[str, Any]]
 """Words and look of an entry of a legend."""
 
-STANDARD_ERROR: Named = (
-    "bar: standard error of the mean",
-    {"marker": "|", "ls": "none", "ms": 9, "mew": 1},
-)
-SURVIVORS: Named = (
-    "hollow: mean of so many, others refused",
-    {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"},
-)
+STANDARD_ERROR: Named = ("bar: standard error of the mean",
+                         {"marker": "|", "ls": "none", "ms": 9, "mew": 1})  # fmt: skip
+SURVIVORS: Named = ("hollow: mean of so many, others refused",
+                    {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,23 +87,14 @@ def value_color(name: str, value: Any, place: float) -> Any:
 
 
 def mark_survivors(
-    axes: Axes,
-    x: ArrayLike,
-    means: ArrayLike,
-    answered: ArrayLike,
-    runs: ArrayLike,
-    **look: Any,
+    axes: Axes, x: ArrayLike, means: ArrayLike, answered: ArrayLike, runs: ArrayLike, **look: Any
 ) -> None:
     """Draw those means hollow that are not over all runs, with the number that they are over."""
     for place, mean, n, of in np.broadcast(x, means, answered, runs):
         if n < of and np.isfinite(mean):
             axes.plot(place, mean, **{**look, "mfc": "white", "ls": "none", "zorder": 5})
-            above: dict[str, Any] = {
-                "xytext": (2.0, 4.0),
-                "textcoords": "offset points",
-                "fontsize": 7,
-            }
-            axes.annotate(f"{n:.0f}", (place, mean), **above)
+            at: dict[str, Any] = {"xytext": (2.0, 4.0), "textcoords": "offset points"}
+            axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, **at)
 
 
 def quiet_axes(axes: Axes) -> None:
@@ -151,7 +123,5 @@ def legend_below(figure: Figure, ncols: int, handles: Sequence[Any] | None = Non
     """Name what is drawn: some handles, or all of the first axes."""
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
-    labels = [str(one.get_label()) for one in handles]
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=ncols, fontsize=8, frameon=False
-    )
+    below = "outside lower center"
+    figure.legend(handles=handles, loc=below, ncols=ncols, fontsize=8, frameon=False)

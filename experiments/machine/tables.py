@@ -10,7 +10,7 @@ from experiments.lab.cache import RECORDED, Cache
 from experiments.lab.grid import Cell, GridConfig, named_config
 from experiments.lab.schedule import Outcome, Workers, run_cells
 from experiments.machine.parts import Measurement
-from experiments.paper.grids import TABLES, n_recordings
+from experiments.paper.esim import TABLES, n_recordings
 
 ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers end together
 N_FLIGHTS = 1  # of each of these angles and each duration: the first ones

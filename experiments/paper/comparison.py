@@ -1,16 +1,14 @@
 """Our tables beside the paper's, cell by cell and quantity by quantity.
 
 The rule of a cell (`RULE`) is Welch's: the 95 % interval of the difference of the two means. Errors
-are not negative, and skewed; but they are so on both sides, and the difference of two means loses
-most of it: where both sides draw from one distribution, however skewed, the rule is wrong in at
-most 5 % of the cells (tested). To compare logarithms would seem more natural, yet where a few runs
-are gross errors, as with the correlation methods, it is wrong in about 20 %.
+are skewed, but on both sides: where these draw from one distribution, the rule is wrong in at most
+5 % of the cells (tested). Logarithms, compared instead, are wrong in about 20 % where a few runs
+are gross errors, as with the correlation methods.
 
 The ratio of ours to the paper's, of the geometric means over the cells of a table, is known to a
 factor: its 95 % interval is the ratio divided and multiplied by it. The factor is that of a normal
-logarithm whose variance is the sum of those of the cells' means, over their squares; the offsets of
-an angle share its flights, so their errors are taken to be the same. Angles are independent of each
-other.
+logarithm whose variance is the sum of those of the cells' means, over their squares. Offsets of an
+angle share its flights, so their errors are taken to be the same; angles are independent.
 
 Our flights may be more than the paper's; each verdict is also given by our first as many alone.
 """
@@ -26,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import gmean, norm
 from scipy.stats import t as student
 
-from experiments.paper.grids import DURATIONS_S
+from experiments.paper.esim import DURATIONS_S
 from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
 from ssac.arrays import Array
 from ssac.errors import SsacError
@@ -179,11 +177,10 @@ def comparison_table(
 ) -> pd.DataFrame:
     """Compare our tables, by duration [s], with the published ones cell by cell.
 
-    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. One row
-    for each number that both have, in the paper's order of rows: where it stands, both means and
-    deviations, our runs that are "ok" (`n_ours`), the ends of the 95 % interval of the difference,
-    the verdict, whether our mean is of the paper's size or better (SIZE_RULE) and whether it is at
-    most the published mean; the same by the first flights alone (`first_*`), and a note.
+    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. Each row
+    is a number that both have, in the paper's order: means, deviations, our runs that are "ok"
+    (`n_ours`), the 95 % interval of the difference, the verdicts (RULE, SIZE_RULE, and whether our
+    mean is at most the published one), the same by the first flights (`first_*`), and a note.
     """
     parts = []
     for duration_s, theirs in published.items():
@@ -252,20 +249,15 @@ def _ours(table: pd.DataFrame, quantity: PublishedError) -> Sample:
 def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     """Sum up each quantity over the cells of a duration.
 
-    The number of cells and of each verdict; the geometric mean of the ratios of our mean to the
-    published one, the factor to which it is known, and the least and the largest ratio; the median
-    of the intervals' half-widths over the published mean (`visible`: a difference that a cell would
-    just tell); the same by our first flights alone, as many as the paper's (`first_*`), how many
-    cells have another verdict by all (`changed`), and the factor that the paper's flights alone
-    leave (`factor_paper`), to which that of ours tends with ever more flights.
+    The ratios are of our mean to the published one, `ratio` their geometric mean and `factor` that
+    to which it is known; `visible` is the difference that the median cell would just tell, over the
+    published mean. By our first flights alone they are `first_*`; `changed` counts the cells whose
+    verdict is another by all. `factor_paper` is what the paper's flights alone leave.
     """
     rows = []
-    place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}
-    ordered = comparison.sort_values(
-        ["quantity", "duration_s"],
-        key=lambda column: column.map(place) if column.name == "quantity" else column,
-    )
-    for (name, duration_s), part in ordered.groupby(["quantity", "duration_s"], sort=False):
+    order = [quantity.name for quantity in PUBLISHED_ERRORS]
+    groups = comparison.groupby(["quantity", "duration_s"])
+    for (name, duration_s), part in sorted(groups, key=lambda group: order.index(str(group[0][0]))):
         published = part["published_mean"].to_numpy()
         ratios, first_ratios = (
             part[f"{whose}_mean"].to_numpy() / published for whose in ("ours", "first")
@@ -301,14 +293,14 @@ def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours"
     """
     published: pd.Series = pd.Series(PUBLISHED_RUNS, part.index)
     runs = {"published": published, "ours": part["n_ours"], "first": part["first_n"]}
-    angles_deg = part["angle_deg"].to_numpy()
     variance = 0.0
     for side in sides:
         means, stds, n = part[f"{side}_mean"], part[f"{side}_std"], runs[side]
         known = (means > 0.0) & (n > 1)
         # Standard errors over the means; deviations are over n.
-        errors = (stds / (means * np.sqrt((n - 1).where(known)))).to_numpy(np.float64)
+        errors = stds / (means * np.sqrt((n - 1).where(known)))
         variance += sum(
-            float(errors[angles_deg == angle].sum()) ** 2 for angle in np.unique(angles_deg)
+            float(of_angle.to_numpy(np.float64).sum()) ** 2
+            for _, of_angle in errors.groupby(part["angle_deg"])
         )
     return float(np.exp(norm.ppf(0.975) * np.sqrt(variance) / len(part)))

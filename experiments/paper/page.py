@@ -1,17 +1,24 @@
 """`results/README.md`: the numbers beside the paper's, for people to read.
 
-The words stand in `page.md.jinja`, what its tables show is laid out here. Every mean in it also
-stands in one of the CSV files.
+What its tables show is laid out here, for the HTML report too; the page's words stand in
+`page.md.jinja`. Every mean also stands in one of the CSV files.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.lab.markdown import (
+    UNKNOWN,
+    markdown_table,
+    means_with_stds,
+    number,
+    paragraph,
+)
 from experiments.lab.summary import records
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
@@ -27,9 +34,13 @@ from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR, split_q
 _RATIO_GOAL = 1.0
 """The ratio of ours to the paper's is to be at most this, of each error of `ssac` in each table."""
 
-Rows = list[list[str]]
-Table = tuple[list[str], Rows]
-"""Header and rows."""
+
+class Table(NamedTuple):
+    """Cells as they are shown."""
+
+    head: list[str]
+    rows: list[list[str]]
+
 
 _PAGES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
@@ -48,38 +59,54 @@ def results_page(
     provenance: Mapping[str, Any],
 ) -> str:
     """Write the page of the runs, their tables and the comparison; the provenance is the runs'."""
-    summary = summary_table(comparison)
-    ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
-    has_further = int(runs["flight"].max()) >= PUBLISHED_RUNS
     return _PAGES.get_template("page.md.jinja").render(
+        page_content(runs, tables, comparison),
         flights=" and ".join(
             f"{of_duration['flight'].nunique()} of {duration_s:g} s"
             for duration_s, of_duration in runs.groupby("duration_s")
         ),
         n_recordings=len(runs[["duration_s", "angle_deg", "flight"]].drop_duplicates()),
+        has_further=int(runs["flight"].max()) >= PUBLISHED_RUNS,
         files=" and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables),
-        verdicts=list(VERDICTS),
-        rule=RULE,
         size_rule=SIZE_RULE,
-        n_published=PUBLISHED_RUNS,
-        against=_against_the_paper(summary),
-        further=_further_flights(summary) if has_further else [],
-        changes=_changed_verdicts(comparison),
-        goals=_goals(tables, comparison, summary),
-        n_lower=int((ssac["mean_at_most_published"] == "yes").sum()),
-        angles=[f"{angle:g} deg" for angle in sorted(comparison["angle_deg"].unique())],
-        growth=_growth_rows(comparison),
-        durations=[
-            _flights(runs, duration_s, table, comparison) for duration_s, table in tables.items()
-        ],
-        differing=_differences(comparison),
-        failed=_failures(runs),
-        n_failed=int((runs["status"] != "ok").sum()),
-        n_runs=len(runs),
         made=provenance,
         gl=provenance.get("gl") or {},
         versions=", ".join(f"{name} {v}" for name, v in provenance.get("versions", {}).items()),
     )
+
+
+def page_content(
+    runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame], comparison: pd.DataFrame
+) -> dict[str, Any]:
+    """Lay out the tables and counts of the page, whatever it is written in."""
+    summary = summary_table(comparison)
+    ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
+    differing = comparison[comparison["verdict"] == "differs"]
+    growth = _growth(comparison)
+    return {
+        "rule": RULE,
+        "n_published": PUBLISHED_RUNS,
+        "against": _shown(
+            summary.assign(
+                low=summary["ratio"] / summary["factor"],
+                high=summary["ratio"] * summary["factor"],
+                percent=100 * summary["visible"],
+            ),
+            _AGAINST,
+        ),
+        "further": _shown(summary, _FURTHER),
+        "changes": _changed_verdicts(comparison),
+        "goals": _goals(tables, ssac, summary, growth),
+        "n_lower": int((ssac["mean_at_most_published"] == "yes").sum()),
+        "growth": growth,
+        "durations": [
+            _flights(runs, duration_s, table, comparison) for duration_s, table in tables.items()
+        ],
+        "differing": _shown(differing.replace({"note": {"": "not known"}}), _DIFFERENCES),
+        "failed": _failures(runs),
+        "n_failed": int((runs["status"] != "ok").sum()),
+        "n_runs": len(runs),
+    }
 
 
 def label(name: str) -> str:
@@ -88,40 +115,45 @@ def label(name: str) -> str:
     return f"`{method}` {ERRORS[error].heading}"
 
 
-def _place(row: Mapping[str, Any]) -> list[str]:
-    return [label(row["quantity"]), f"{row['duration_s']:g} s"]
+_WHICH = {"mean error": "{error}", "flights": "{duration_s:g} s"}
+
+_AGAINST = {
+    **_WHICH,
+    **{name: f"{{{name}}}" for name in ("cells", *VERDICTS)},
+    "ours / paper": "{ratio:.2f}",
+    "95 %": "{low:.2f} to {high:.2f}",
+    "in single cells": "{ratio_min:.2f} to {ratio_max:.2f}",
+    "visible from": "{percent:.0f} %",
+}
+_FURTHER = {
+    **_WHICH,
+    **{word: f"{{first_{word}}} -> {{{word}}}" for word in VERDICTS},
+    "changed": "{changed}",
+    "ours / paper": "{first_ratio:.2f} -> {ratio:.2f}",
+    f"to a factor of: first {PUBLISHED_RUNS}": "{first_factor:.2f}",
+    "all": "{factor:.2f}",
+    f"paper's {PUBLISHED_RUNS} alone": "{factor_paper:.2f}",
+}
+_DIFFERENCES = {
+    **_WHICH,
+    "angle [deg]": "{angle_deg:g}",
+    "t_d [ms]": "{t_d_ms:g}",
+    "ours": "{ours_mean:.3f}",
+    "paper": "{published_mean:.2f}",
+    "95 % interval of the difference": "{difference_low:.3f} to {difference_high:.3f}",
+    "reason": "{note}",
+}
+"""By its head: what a column shows of a row."""
 
 
-def _from_to(low: float, high: float, decimals: int) -> str:
-    return f"{number(low, decimals)} to {number(high, decimals)}"
+def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
+    named = records(rows.assign(error=rows["quantity"].map(label)))
+    cells = [[form.format(**row) for form in columns.values()] for row in named]
+    known = [[re.sub(r"\bnan\b", UNKNOWN, cell) for cell in row] for row in cells]
+    return Table(list(columns), known)
 
 
-def _against_the_paper(summary: pd.DataFrame) -> Rows:
-    return [
-        [
-            *_place(row), *(str(row[word]) for word in ("cells", *VERDICTS)),
-            number(row["ratio"], 2),
-            _from_to(row["ratio"] / row["factor"], row["ratio"] * row["factor"], 2),
-            _from_to(row["ratio_min"], row["ratio_max"], 2),
-            f"{number(100 * row['visible'], 0)} %",
-        ]
-        for row in records(summary)
-    ]  # fmt: skip
-
-
-def _further_flights(summary: pd.DataFrame) -> Rows:
-    """Show which verdicts and intervals our further flights changed."""
-    return [
-        [
-            *_place(row), *(f"{row[f'first_{word}']} -> {row[word]}" for word in VERDICTS),
-            str(row["changed"]), f"{number(row['first_ratio'], 2)} -> {number(row['ratio'], 2)}",
-            *(number(row[name], 2) for name in ("first_factor", "factor", "factor_paper")),
-        ]
-        for row in records(summary)
-    ]  # fmt: skip
-
-
-def _changed_verdicts(comparison: pd.DataFrame) -> Rows:
+def _changed_verdicts(comparison: pd.DataFrame) -> Table:
     """List the cells whose verdict changed, those that changed alike in one row."""
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
     rows = []
@@ -131,20 +163,21 @@ def _changed_verdicts(comparison: pd.DataFrame) -> Rows:
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
         first = records(part)[0]
-        rows.append([*_place(first), first["first_verdict"], first["verdict"], "; ".join(cells)])
-    return rows
+        verdicts = first["first_verdict"], first["verdict"], "; ".join(cells)
+        rows.append([label(first["quantity"]), f"{first['duration_s']:g} s", *verdicts])
+    return Table(["mean error", "flights", f"first {PUBLISHED_RUNS}", "all", "cells"], rows)
 
 
 def _goals(
-    tables: Mapping[float, pd.DataFrame], comparison: pd.DataFrame, summary: pd.DataFrame
-) -> Rows:
+    tables: Mapping[float, pd.DataFrame], ssac: pd.DataFrame, summary: pd.DataFrame, growth: Table
+) -> Table:
     """Say of each goal whether it is met, and what was reached."""
+    rows: list[list[str]] = []
 
-    def goal(words: str, n_met: int, n: int, what: str, more: str = "") -> list[str]:
-        return [words, "met" if n_met == n else "**not met**", f"in {n_met} of {n} {what}{more}"]
+    def add(words: str, met: Sequence[bool], what: str, more: str = "") -> None:
+        said = "met" if all(met) else "**not met**"
+        rows.append([words, said, f"in {sum(met)} of {len(met)} {what}{more}"])
 
-    rows = []
-    ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
     if len(ssac):
         sized = ssac["paper_size_or_better"] == "yes"
         missed = "; ".join(
@@ -152,18 +185,16 @@ def _goals(
             for row in records(ssac[~sized])
         )
         words = "`ssac`: mean t_d of the paper's size or better in every cell"
-        more = f", not in {missed}" if missed else ""
-        rows.append(goal(words, int(sized.sum()), len(ssac), "cells", more))
-    of_ssac = summary[summary["quantity"].str.startswith("ssac_")]
-    if len(of_ssac):
+        add(words, list(sized), "cells", f", not in {missed}" if missed else "")
+    of_ssac = records(summary[summary["quantity"].str.startswith("ssac_")])
+    if of_ssac:
         ratios = ", ".join(
             f"{ERRORS[split_quantity(row['quantity'])[1]].symbol} {number(row['ratio'], 2)} "
             f"over {row['duration_s']:g} s"
-            for row in records(of_ssac)
+            for row in of_ssac
         )
         words = f"`ssac`: ours / paper at most {_RATIO_GOAL:g} over the cells of each table"
-        n_met = int((of_ssac["ratio"] <= _RATIO_GOAL).sum())
-        rows.append(goal(words, n_met, len(of_ssac), "ratios", f": {ratios}"))
+        add(words, [row["ratio"] <= _RATIO_GOAL for row in of_ssac], "ratios", f": {ratios}")
     for name, error in ERRORS.items():
         column = f"tangency_{name}_mean"
         values = [table[column] for table in tables.values() if column in table]
@@ -171,16 +202,17 @@ def _goals(
             means = pd.concat(values)
             words = f"`tangency`: mean {error.heading} at most {error.mark:g} in every cell"
             more = f", the largest is {number(means.max(), 3)}"
-            rows.append(goal(words, int((means <= error.mark).sum()), len(means), "cells", more))
-    growth = [row[-1] for row in _growth_rows(comparison) if row[-1]]
-    if growth:
+            add(words, list(means <= error.mark), "cells", more)
+    grown = [row[-1] == "yes" for row in growth.rows if row[-1]]
+    if grown:
         words = "`zncc_e`, `zncc_f`: mean t_d from tens of ms at 30 deg to hundreds at 150 deg"
-        rows.append(goal(words, growth.count("yes"), len(growth), "rows below"))
-    return rows
+        add(words, grown, "rows below")
+    return Table(["goal", "", "reached"], rows)
 
 
-def _growth_rows(comparison: pd.DataFrame) -> Rows:
+def _growth(comparison: pd.DataFrame) -> Table:
     """Mean errors of the correlation methods by angle, ours and the paper's."""
+    angles = [f"{angle:g} deg" for angle in sorted(comparison["angle_deg"].unique())]
     rows = []
     chosen = comparison[comparison["quantity"].str.startswith("zncc")]
     for (name, duration_s), part in chosen.groupby(["quantity", "duration_s"]):
@@ -191,7 +223,7 @@ def _growth_rows(comparison: pd.DataFrame) -> Rows:
         for who, column, verdict in (("ours", "ours_mean", met), ("paper", "published_mean", "")):
             values = [number(value, 0) for value in means[column]]
             rows.append([method, f"{duration_s:g} s", who, *values, verdict])
-    return rows
+    return Table(["method", "flights", "", *angles, "met"], rows)
 
 
 def _flights(
@@ -203,34 +235,32 @@ def _flights(
     methods = method_order(runs.loc[runs["duration_s"] == duration_s, "method"])
     others = [name for name in methods if name not in published]
     posed = [name for name in pose_methods(runs) if name in others]
-    ours = [quantity.name for quantity in PUBLISHED_ERRORS if quantity.method == "ssac"]
-    correlated = [quantity.name for quantity in PUBLISHED_ERRORS if quantity.method != "ssac"]
     return {
         "duration": f"{duration_s:g}",
-        "ours": _beside_the_paper(part, ours, 2) if len(part) else None,
-        "correlated": _beside_the_paper(part, correlated, 1) if len(part) else None,
-        "others": _others(table, [(m, T_D_ERROR.column) for m in others]) if others else None,
-        "posed": _others(table, [(m, e) for m in posed for e in POSE_ERRORS]) if posed else None,
+        "ours": _beside_the_paper(part, is_ssac=True, decimals=2),
+        "correlated": _beside_the_paper(part, is_ssac=False, decimals=1),
+        "others": _others(table, [(m, T_D_ERROR.column) for m in others]),
+        "posed": _others(table, [(m, e) for m in posed for e in POSE_ERRORS]),
     }
 
 
-def _beside_the_paper(part: pd.DataFrame, names: Sequence[str], decimals: int) -> Table:
-    """Ours, the paper's and the verdict for some quantities, one row for each angle and offset."""
+def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table | None:
+    """Ours, the paper's and the verdict, one row for each angle and offset; None without any."""
     columns: list[tuple[str, list[str]]] = []
-    for name in names:
-        chosen = part[part["quantity"] == name]
-        if len(chosen):
+    for quantity in PUBLISHED_ERRORS:
+        chosen = part[part["quantity"] == quantity.name]
+        if len(chosen) and (quantity.method == "ssac") == is_ssac:
             columns = columns or _places(chosen)
             columns += [
                 (head, means_with_stds(chosen[f"{whose}_mean"], chosen[f"{whose}_std"], decimals))
-                for head, whose in ((label(name), "ours"), ("paper", "published"))
+                for head, whose in ((label(quantity.name), "ours"), ("paper", "published"))
             ]
             columns.append(("verdict", list(chosen["verdict"])))
-    return _table(columns)
+    return _table(columns) if len(part) else None
 
 
-def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table:
-    """Errors (method, error) of the table, one row for each angle and offset."""
+def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table | None:
+    """Errors (method, error) of the table, one row for each angle and offset; None without any."""
     columns = _places(table)
     for method, error in errors:
         means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))
@@ -243,7 +273,7 @@ def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table:
             )
         ]
         columns.append((label(f"{method}_{error}"), cells))
-    return _table(columns)
+    return _table(columns) if errors else None
 
 
 def _places(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
@@ -253,25 +283,14 @@ def _places(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
 
 def _table(columns: Sequence[tuple[str, list[str]]]) -> Table:
     rows = zip(*(cells for _, cells in columns), strict=True)
-    return [head for head, _ in columns], [list(row) for row in rows]
+    return Table([head for head, _ in columns], [list(row) for row in rows])
 
 
-def _differences(comparison: pd.DataFrame) -> Rows:
-    """List the cells that differ, with the reasons known."""
-    return [
-        [
-            *_place(row), f"{row['angle_deg']:g}", f"{row['t_d_ms']:g}",
-            number(row["ours_mean"], 3), number(row["published_mean"], 2),
-            _from_to(row["difference_low"], row["difference_high"], 3), row["note"] or "not known",
-        ]
-        for row in records(comparison[comparison["verdict"] == "differs"])
-    ]  # fmt: skip
-
-
-def _failures(runs: pd.DataFrame) -> Rows:
+def _failures(runs: pd.DataFrame) -> Table:
     """Count the runs that gave no estimate, with one reason of each kind."""
     groups = runs[runs["status"] != "ok"].groupby(["method", "duration_s", "status"])
-    return [
+    rows = [
         [f"`{method}`", f"{duration_s:g} s", str(status), str(len(group)), group["reason"].iloc[0]]
         for (method, duration_s, status), group in groups
     ]
+    return Table(["method", "flights", "status", "runs", "reason of the first"], rows)

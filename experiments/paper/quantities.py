@@ -1,4 +1,4 @@
-"""What runs are measured by: columns, names, labels, units and marks."""
+"""What runs are measured by: columns, labels, units and marks."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,6 @@ class Quantity:
 
     parameter: str  # of the pose and the clock: start of its columns
     unit: str  # end of its columns
-    name: str  # in a sentence
     symbol: str  # in plain text
     tex: str  # in a figure
     mark: float  # that no cell's mean of `tangency` is to exceed
@@ -25,19 +24,14 @@ class Quantity:
         return f"{self.symbol} [{self.unit}]"
 
     @property
-    def title(self) -> str:
-        """At the head of a table or panel."""
-        return f"{self.name.capitalize()} [{self.unit}]"
-
-    @property
     def label(self) -> str:
         """Of a figure's axis."""
         return f"error of {self.tex} [{self.unit}]"
 
 
-T_D_ERROR = Quantity("t_d", "ms", "time offset", "t_d", "$t_d$", 0.05)
-R_ERROR = Quantity("r", "deg", "rotation", "R", "R", 0.1)
-T_ERROR = Quantity("t", "deg", "translation direction", "t", "t", 0.05)
+T_D_ERROR = Quantity("t_d", "ms", "t_d", "$t_d$", 0.05)
+R_ERROR = Quantity("r", "deg", "R", "R", 0.1)
+T_ERROR = Quantity("t", "deg", "t", "t", 0.05)
 
 ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
 """All of them, by their columns."""

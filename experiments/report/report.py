@@ -1,38 +1,67 @@
-"""The report: all results and one recording on an HTML page that needs no other file."""
+"""The report: all results and one recording on an HTML page that needs no other file.
+
+Its tables are those of `results/README.md`. The player shows a flight whose camera 2 is set ahead
+by a known offset, estimated as for any recording; the truth is for the words beside it.
+"""
 
 import base64
 import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+import pandas as pd
 import typer
 from jinja2 import PackageLoader
+from markupsafe import Markup, escape
 
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import CacheOption
 from experiments.lab.files import save_text
-from experiments.paper.comparison import PUBLISHED_RUNS, RULE
-from experiments.report import tables
-from experiments.report.animation import METHOD, T_D_S, Animation, make_animation
-from experiments.report.data import Results, load_results
-from experiments.studies.figures import FLIGHT, SEED
+from experiments.lab.grid import config_names, named_config
+from experiments.lab.markdown import digits
+from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.score import Score, score
+from experiments.lab.summary import answered
+from experiments.paper.comparison import VERDICTS
+from experiments.paper.esim import esim_tables
+from experiments.paper.page import page_content
+from experiments.paper.quantities import ERRORS
+from experiments.studies.figures import FLIGHT, SEED, ResultsOption
+from experiments.studies.tables import comparison, runs_of
+from sim.errors import SimError
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
 from ssac.pipeline import html_report
+from ssac.pipeline.api import chain_of
+from ssac.pipeline.plots import d_avg_px, material_of
 
-_PAGE = files("experiments.report") / "page"
+METHOD = "tangency"
+T_D_S = 0.5  # of the player's flight: large enough that both views are plainly apart
+
+_FIGURES = {
+    "error_vs_angle": "make figures",
+    "beyond_paper": "make figures",
+    "success": "make figures",
+    "efficiency": "make studies",
+    "fig3_preprocessing": "make figures",
+    "fig4_epipolar": "make figures",
+    "fig5_d_avg": "make figures",
+}
+"""What makes them; the page has their words."""
+
+_SOUND_SHARE = 0.9  # of a method's runs give an estimate, or it cannot be called the best
 
 
 def report_command(
-    results: Annotated[
-        Path,
-        typer.Option(
-            help="Folder with the results, as `ssac tables` writes them.", metavar="FOLDER"
-        ),
-    ] = Path("results"),
-    cache: Annotated[
-        Path, typer.Option(help="Folder of cached recordings.", metavar="FOLDER")
-    ] = DEFAULT_FOLDER,
+    results: ResultsOption = Path("results"),
+    cache: CacheOption = DEFAULT_FOLDER,
     out: Annotated[Path, typer.Option(help="HTML to write.", metavar="FILE")] = Path(
         "out/report.html"
     ),
@@ -40,43 +69,124 @@ def report_command(
     """Put the results, the figures and an animation on one HTML page that needs no other file."""
     if out.is_dir():
         raise SsacError(f"{out}: is a folder: name a file, such as {out / 'report.html'}")
-    content = load_results(results)
+    content = read_results(results)
     page = report_page(content, make_animation(Cache(cache).recording_folder(FLIGHT, SEED)))
     save_text(out, page)
     typer.echo(f"report: {out} ({len(page.encode()) / 1e6:.1f} MB)")
 
 
-def report_page(results: Results, animation: Animation) -> str:
-    """Lay out the page: the same input gives the same bytes."""
+def read_results(folder: Path) -> dict[str, Any]:
+    """Lay out what the page shows of a folder; SsacError names what makes a missing file."""
+    results = Results(folder)
+    with _made_by("make tables"):
+        runs, compared = runs_of(results), comparison(results)
+        made: dict[str, list[str]] = {}  # each way that results were made once, with their names
+        for name in sorted({"esim_20", *(one.name.split(".")[0]
+                                         for one in folder.glob(f"*{PROVENANCE}"))}):  # fmt: skip
+            for entry in results.provenances(name):
+                made.setdefault(json.dumps(entry), []).append(name)
+    figures = [(name, "", 0, _png(folder, name, command)) for name, command in _FIGURES.items()]
+    for name in config_names("ablation_"):
+        config = named_config(name)
+        figures.append((name, config.title, config.flights, _png(folder, name, "make ablations")))
+    return {
+        **page_content(runs, esim_tables(runs), compared),
+        "headline": headline(runs, compared),
+        "figures": figures,
+        "provenance": [(", ".join(names), json.loads(entry)) for entry, names in made.items()],
+    }
+
+
+@contextmanager
+def _made_by(command: str) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError, SsacError) as error:
+        raise SsacError(f"{error}: run `{command}`") from error
+
+
+def _png(folder: Path, name: str, command: str) -> bytes:
+    path = folder / f"{name}.png"
+    with _made_by(command):
+        content = path.read_bytes()
+        if not content.startswith(b"\x89PNG\r\n\x1a\n"):
+            raise ValueError(f"{path}: not a PNG")
+    return content
+
+
+def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
+    """Sum up all runs: the best method that is not given the pose, if any is good enough."""
+    ok = answered(runs)
+    means = ok.groupby("method")[list(ERRORS)].mean()
+    # With a pose, and reliable: the mean of a few lucky runs says nothing.
+    shares = ok["method"].value_counts() / runs["method"].value_counts()
+    sound = means[shares.reindex(means.index) >= _SOUND_SHARE].dropna()
+    best = "" if sound.empty else str(sound["t_d_error_ms"].idxmin())
+    of_ssac = compared[compared["quantity"] == "ssac_t_d_error_ms"]
+    return {
+        "best": best,
+        "best_errors": list(sound.loc[best]) if best else [],
+        "ours": None if of_ssac.empty else means["t_d_error_ms"].get("ssac"),
+        "published": of_ssac["published_mean"].mean(),
+        "n_good": int(compared["verdict"].isin(["agrees", "better"]).sum()),
+        "n_cells": len(compared),
+        "n_methods": runs["method"].nunique(),
+    }
+
+
+@dataclass(frozen=True)
+class Animation:
+    """What the player draws, and the estimate behind it."""
+
+    estimate: Estimate
+    errors: Score
+    before_px: float  # d_avg with the clocks as recorded
+    after_px: float  # and with the offset found
+    player: dict[str, Any]
+
+
+def make_animation(folder: Path) -> Animation:
+    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead."""
+    recorded = folder / "cam1.h5", folder / "cam2.h5"
+    answer = chain_of(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
+    estimate = answer.estimate
+    if estimate.status != "ok":
+        raise SimError(
+            f"{folder}: expected a recording that {METHOD} can synchronise, got {estimate.status} "
+            f"({estimate.reason}): simulate one of 20 s at 90 deg"
+        )
+    answers, material = {(0, 1): answer}, material_of(answer)
+    materials = {(0, 1): material}
+    seen = html_report.seen_by(answers, materials)
+    player = html_report.player_of(answers, materials, seen, tour=True)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    errors = score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"]))
+    before_px, after_px = d_avg_px(material, np.array([0.0, estimate.t_d_s])).tolist()
+    return Animation(estimate, errors, before_px, after_px, player)
+
+
+def report_page(content: dict[str, Any], animation: Animation) -> str:
+    """Lay out the page of `read_results` and an animation: the same input gives the same bytes."""
     environment = html_report.environment(PackageLoader("experiments.report", "page"))
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
-    environment.filters["number"] = tables.number
+    environment.filters["size_px"] = lambda png: np.frombuffer(png[16:24], ">u4").tolist()
+    environment.filters["digits"] = digits
+    environment.filters["words"] = _words
     environment.globals["json"] = partial(json.dumps, indent=1)
+    style = files("experiments.report") / "page" / "report.css"
     return environment.get_template("results_page.html").render(
-        style=_PAGE.joinpath("report.css").read_text(encoding="utf-8").strip(),
+        content,
+        style=style.read_text(encoding="utf-8").strip(),
         animation=animation,
         player=animation.player,
         angle_deg=FLIGHT.angle_deg,
         true_ms=1e3 * T_D_S,
         method=METHOD,
-        results=results,
-        headline=tables.headline(results),
-        charts=tables.charts(results),
-        compared=tables.compared_tables(results.comparison),
-        verdicts=tables.VERDICTS,
-        counts=results.comparison["verdict"].value_counts(),
-        notes=tables.notes(results.comparison),
-        rule=RULE[0].upper() + RULE[1:],
-        published_runs=PUBLISHED_RUNS,
-        tables=tables.method_tables(results),
-        failures=tables.failures(results.runs),
-        provenance=_provenance(results.provenance),
+        verdicts=VERDICTS,
     )
 
 
-def _provenance(provenance: dict[str, dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
-    """Give each way that results were made once, with their names."""
-    groups: dict[str, list[str]] = {}
-    for name, entry in provenance.items():
-        groups.setdefault(json.dumps(entry), []).append(name)
-    return [(", ".join(names), json.loads(entry)) for entry, names in groups.items()]
+def _words(text: str) -> Markup:
+    """Write the Markdown of a table's cell as HTML."""
+    coded = re.sub(r"`(.*?)`", r"<code>\1</code>", str(escape(text)))
+    return Markup(re.sub(r"\*\*(.*?)\*\*", r"<b>\1</b>", coded))

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from sim.disturb import MAX_FOCAL_PERCENT, DisturbConfig
-from sim.effects.config import SENSOR_PRESETS, SensorEffects, SensorPreset, sensor_preset
+from sim.effects.config import SENSOR_PRESETS, SensorEffects, SensorPreset
 from sim.errors import SimError
 from sim.recorded import MAX_SKEW_PPM
 from sim.recording import SimConfig
@@ -200,16 +200,15 @@ def _changed(default: Any, values: Mapping[str, Any]) -> Any:
 def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
     """Make the sensor that the options ask for: what is given takes the place of the preset's."""
     preset, noise = options["preset"], options["noise"]
-    if noise not in PRESETS:
-        raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
+    for name, value, known in (("noise", noise, PRESETS), ("preset", preset, SENSOR_PRESETS)):
+        if value is not None and value not in known:
+            raise SimError(f"--{name}: expected one of {', '.join(known)}, got {value!r}")
     if preset is not None and noise != _IDEAL:
         raise SimError(
             f"--preset {preset} has noise of its own, and so does --noise {noise}: leave one out"
         )
-    if preset is not None and preset not in SENSOR_PRESETS:
-        raise SimError(f"--preset: expected one of {', '.join(SENSOR_PRESETS)}, got {preset!r}")
     ideal = SensorPreset(PRESETS[noise], SensorEffects())
-    start = ideal if preset is None else sensor_preset(preset)
+    start = ideal if preset is None else SENSOR_PRESETS[preset]
     thresholds = {name: options[name] for name in ("threshold_on", "threshold_off")}
     given = {name: value for name, value in thresholds.items() if value is not None}
     changes = dict(_parsed(effect) for effect in options["effect"] or ())

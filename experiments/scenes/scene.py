@@ -7,6 +7,7 @@ import numpy as np
 import typer
 
 from experiments.lab.bridge import observations, rig_of
+from experiments.lab.markdown import markdown_table
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
@@ -103,9 +104,8 @@ def scene_command(
 
 def scene_table(figures: SceneFigures) -> str:
     """Lay the figures out beside those of the authors' sample, as a Markdown table."""
-    rows = [f"| {name} | {theirs} | {ours.format_map(vars(figures))} |"
-            for name, theirs, ours in SHOWN]  # fmt: skip
-    return "\n".join(["| quantity | authors' sample | ours |", "|---|---|---|", *rows])
+    rows = [(name, theirs, ours.format_map(vars(figures))) for name, theirs, ours in SHOWN]
+    return markdown_table(("quantity", "authors' sample", "ours"), rows)
 
 
 def _widths_px(camera: Observation, times_s: Array, half_window_s: float) -> list[float]:

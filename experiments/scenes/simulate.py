@@ -19,7 +19,7 @@ from sim.recording import Scene, SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
-from sim.scene.rig import look_at_rig
+from sim.scene.rig import Rig, look_at_rig
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
 from ssac.cli.options import with_options
@@ -49,18 +49,14 @@ class ManyCameras(SimConfig):
 
     def scene(self, seed: int) -> Scene:
         """Build the scene of two cameras, with more of them."""
-        two = super().scene(seed)
-        rig = look_at_rig(
-            [self.angle_deg * k for k in range(self.n_cameras)],
-            distance_m=self.distance_m,
-            focal_px=self.focal_px,
-            resolution=self.resolution,
-            principal_point=self.principal_point,
-            distortion_model=self.distortion_model,
-            distortion_coeffs=self.distortion_coeffs,
-            time_offsets_s=[self.t_d_s * k for k in range(self.n_cameras)],
+        two, numbers = super().scene(seed), range(self.n_cameras)
+        first, *_ = two.rig.cameras
+        placed = look_at_rig([self.angle_deg * k for k in numbers], self.distance_m).cameras
+        cameras = tuple(
+            replace(first, name=one.name, T_C_W=one.T_C_W, time_offset_s=self.t_d_s * k)
+            for k, one in enumerate(placed)
         )
-        return Scene(rig, two.backgrounds[:1] * self.n_cameras, two.drone, two.trajectory)
+        return replace(two, rig=Rig(cameras), backgrounds=two.backgrounds[:1] * self.n_cameras)
 
 
 @with_options(OPTIONS)

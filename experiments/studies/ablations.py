@@ -76,7 +76,7 @@ def ablation_study(grid: GridConfig, command: str = "") -> Study:
     name, runs = grid.name, f"{grid.name}_runs"
 
     def figure(table: pd.DataFrame) -> Figure:
-        from experiments.drawing.ablations import ablation_figure
+        from experiments.drawing.errors import ablation_figure
 
         return ablation_figure(table, grid)
 

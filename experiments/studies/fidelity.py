@@ -20,7 +20,7 @@ from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of
-from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, drawn
+from experiments.paper.esim import ANGLES_DEG, DURATIONS_S, drawn
 from sim.recording import SimConfig
 from sim.render.config import SamplingConfig
 from sim.render.lattice import Lattice

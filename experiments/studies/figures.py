@@ -5,9 +5,8 @@ as they are. A picture is the same bytes whenever it is made from the same runs 
 """
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +15,7 @@ import typer
 from experiments.drawing.style import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
+from experiments.lab.command import CacheOption, OutOption
 from experiments.lab.files import record_checksums
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import provenance, write_provenance
@@ -49,31 +49,26 @@ NOISY_SEED = flight_seed(10.0, 90.0, 0)
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 ALIGNED_T_D_S = 0.3  # of the animation: the views come together over many of its pictures
 
-_OF: Mapping[str, tuple[str, float, Flight]] = {
-    "fig3_preprocessing": ("preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
-    "fig4_epipolar": ("epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
-    "fig5_d_avg": ("d_avg_figure", 0.0, (FLIGHT, SEED)),
-    "alignment": ("alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
-}
-"""By its file: function of `drawing.events`, offset that is added, recording."""
+
+def _of(name: str, function: str, t_d_s: float, flight: Flight) -> Made:
+    """Declare a figure: a function of `drawing.events`, the offset that is added, the recording."""
+
+    def draw(_: Results, folder: Path) -> Figure | bytes:
+        from experiments.drawing import events
+
+        drawn: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
+        return drawn
+
+    return Made(f"{name}.png", draw, recordings=lambda **_: (flight,))
 
 
-def _drawn(name: str, _: Results, folder: Path) -> Figure | bytes:
-    from experiments.drawing import events
-
-    function, t_d_s, _flight = _OF[name]
-    figure: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
-    return figure
-
-
-def _recording(name: str, **_: Any) -> tuple[Flight, ...]:
-    return (_OF[name][2],)
-
-
-OF_RECORDINGS = {
-    name: Made(f"{name}.png", partial(_drawn, name), recordings=partial(_recording, name))
-    for name in _OF
-}
+_MADE = (
+    _of("fig3_preprocessing", "preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
+    _of("fig4_epipolar", "epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+    _of("fig5_d_avg", "d_avg_figure", 0.0, (FLIGHT, SEED)),
+    _of("alignment", "alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
+)
+OF_RECORDINGS = {made.file.removesuffix(".png"): made for made in _MADE}
 
 
 def drawings() -> dict[str, Made]:
@@ -87,14 +82,14 @@ def drawings() -> dict[str, Made]:
     return {**OF_RECORDINGS, **of_studies}
 
 
-def config(names: Collection[str] = tuple(_OF)) -> dict[str, Any]:
+def config(names: Collection[str] = tuple(OF_RECORDINGS)) -> dict[str, Any]:
     """Give what figures of recordings are made with, for their provenance."""
-    recordings = {name: flight[0] for name, (_, _, flight) in _OF.items() if name in names}
-    return {"figures": list(recordings), "recordings": recordings, "flight": 0}
+    chosen = {name: made for name, made in OF_RECORDINGS.items() if name in names}
+    recordings = {name: sim for name, made in chosen.items() for sim, _ in made.filmed()}
+    return {"figures": list(chosen), "recordings": recordings, "flight": 0}
 
 
-def _folder(words: str) -> Any:
-    return typer.Option(help=words, metavar="FOLDER")
+ResultsOption = Annotated[Path, typer.Option(help="Folder with the results.", metavar="FOLDER")]
 
 
 def figures_command(
@@ -102,13 +97,13 @@ def figures_command(
         list[str] | None,
         typer.Argument(help="Figures to draw, by file name.  [default: all]", metavar="NAME"),
     ] = None,
-    results: Annotated[Path, _folder("Folder with the CSVs.")] = Path("results"),
-    cache: Annotated[Path, _folder("Folder of cached recordings.")] = DEFAULT_FOLDER,
-    out: Annotated[Path, _folder("Folder for the PNGs.")] = Path("results"),
+    results: ResultsOption = Path("results"),
+    cache: CacheOption = DEFAULT_FOLDER,
+    out: OutOption = Path("results"),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all figures that follow from the CSVs, anew."""
     start = time.perf_counter()
-    chosen = choose(names or (), results)
+    chosen = choose(names or ())
     out.mkdir(parents=True, exist_ok=True)
     for made in chosen.values():
         folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
@@ -128,35 +123,16 @@ def figures_command(
     record_checksums(out, written)
 
 
-def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
-    """Look up figures; all of them when none is named.
-
-    SsacError, before any work is done, for an unknown name, or when the tables' runs are missing.
-    """
+def choose(names: Sequence[str]) -> dict[str, Made]:
+    """Look up figures; all of them when none is named. SsacError for an unknown name."""
     known = drawings()
     for name in names:
         if name not in known:
             raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(known)}")
-    chosen = {name: known[name] for name in names or known}
-    path = results / "runs.csv"
-    for name, made in chosen.items():
-        if not made.recordings and not path.is_file():
-            raise SsacError(
-                f"{path}: missing, and {name} is drawn from it: run `make tables` first, or "
-                "name the figures to draw"
-            )
-    return chosen
+    return {name: known[name] for name in names or known}
 
 
 STUDIES = (
-    Study(
-        "figures",
-        "The paper's figures",
-        lambda: (),
-        SCORED,
-        None,
-        tuple(OF_RECORDINGS.values()),
-        config=config(),
-        command=COMMAND,
-    ),
-)
+    Study("figures", "The paper's figures", lambda: (), SCORED, None, _MADE,
+          config=config(), command=COMMAND),
+)  # fmt: skip

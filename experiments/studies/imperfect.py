@@ -21,8 +21,7 @@ from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, shown_table
-from experiments.paper.esim import method_order
-from experiments.paper.grids import ANGLES_DEG
+from experiments.paper.esim import ANGLES_DEG, method_order
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
 from experiments.worlds import spoilt
 from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell

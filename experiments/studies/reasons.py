@@ -21,7 +21,7 @@ from experiments.lab.cell import Measure, load_nothing
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
-from experiments.paper.grids import ANGLES_DEG
+from experiments.paper.esim import ANGLES_DEG
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
 from experiments.studies.imperfect import ImperfectRow, given_columns

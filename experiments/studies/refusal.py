@@ -20,7 +20,7 @@ from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import by_group, made_of
-from experiments.paper.grids import ANGLES_DEG
+from experiments.paper.esim import ANGLES_DEG
 from experiments.worlds.open_flights import (
     FLIGHT_OF,
     KINDS_OF_FLIGHT,

@@ -19,7 +19,7 @@ from experiments.lab.results import Results
 from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted, shown_table, statistics
-from experiments.paper.grids import ANGLES_DEG
+from experiments.paper.esim import ANGLES_DEG
 from experiments.studies import imperfect
 from experiments.studies.coverage import QUANTITIES, Quantity
 from experiments.worlds import spoilt

@@ -21,7 +21,7 @@ from experiments.lab.summary import answered
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
-from experiments.paper.grids import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
+from experiments.paper.esim import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
 from experiments.paper.page import results_page
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from ssac.errors import SsacError

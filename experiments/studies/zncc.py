@@ -23,7 +23,7 @@ from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, made_of
-from experiments.paper.grids import ANGLES_DEG, drawn
+from experiments.paper.esim import ANGLES_DEG, drawn
 from experiments.scenes.scene import pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig
 from sim.render.config import SamplingConfig

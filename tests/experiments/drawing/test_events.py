@@ -66,9 +66,7 @@ def test_d_avg_is_least_at_the_true_offset(aligned) -> None:
 
 
 def test_fig_5_shows_a_second_and_3_ms_on_each_side(aligned) -> None:
-    figure = d_avg_figure(aligned)
-    whole, zoom = figure.axes
-    for axes, reach in ((whole, 1.0), (zoom, 3.0)):
+    for axes, reach in zip(d_avg_figure(aligned).axes, (1.0, 3.0), strict=True):
         assert axes.get_xlim() == (-reach, reach)
         curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
         assert len(curves) == 2

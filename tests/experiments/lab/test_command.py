@@ -17,7 +17,7 @@ from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.command import command_of, drawn_by, finish, on_screen
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Runs
-from experiments.paper.grids import table_cells
+from experiments.paper.esim import table_cells
 from sim.errors import SimError
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG

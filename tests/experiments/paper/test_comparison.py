@@ -22,8 +22,14 @@ from experiments.paper.comparison import (
     summary_table,
     verdicts_of,
 )
-from experiments.paper.esim import RUN_COLUMNS, esim_tables
-from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, offset_ms, table_cells
+from experiments.paper.esim import (
+    ANGLES_DEG,
+    DURATIONS_S,
+    RUN_COLUMNS,
+    esim_tables,
+    offset_ms,
+    table_cells,
+)
 from experiments.paper.quantities import ERRORS, split_quantity
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs

@@ -22,13 +22,10 @@ from tests.experiments.reported import made_up_runs
 RUNS = made_up_runs()
 
 
-def place(runs: pd.DataFrame, method: str, flights: Sequence[int] = tuple(range(10))) -> pd.Series:
+def place(method: str, flights: Sequence[int] = tuple(range(10))) -> pd.Series:
     """Which rows are runs of a method in one cell of a table."""
     of = {"duration_s": 10.0, "angle_deg": 60.0, "t_d_ms": 50.0, "method": method}
-    is_there = runs["flight"].isin(flights)
-    for name, value in of.items():
-        is_there &= runs[name] == value
-    return is_there
+    return (RUNS[list(of)] == pd.Series(of)).all(axis=1) & RUNS["flight"].isin(flights)
 
 
 def cell(table: pd.DataFrame) -> pd.Series:
@@ -51,7 +48,7 @@ def test_rows_are_in_the_order_of_the_paper_whatever_the_order_of_the_runs():
 
 
 def test_means_and_deviations_are_over_the_flights():
-    errors = RUNS.loc[place(RUNS, "ssac"), "r_error_deg"].to_numpy()
+    errors = RUNS.loc[place("ssac"), "r_error_deg"].to_numpy()
     row = cell(esim_table(RUNS, 10.0))
     assert row["ssac_r_error_deg_mean"] == pytest.approx(np.mean(errors))
     # Over n, not n - 1.
@@ -83,9 +80,9 @@ def test_columns_are_those_of_the_methods_in_order():
 
 
 def test_a_failed_run_does_not_enter_the_means_but_is_counted():
-    runs = with_status(place(RUNS, "ssac", [3]))
+    runs = with_status(place("ssac", [3]))
     before, after = (cell(esim_table(table, 10.0)) for table in (RUNS, runs))
-    left = RUNS.loc[place(RUNS, "ssac", [0, 1, 2, *range(4, 10)]), "t_d_error_ms"]
+    left = RUNS.loc[place("ssac", [0, 1, 2, *range(4, 10)]), "t_d_error_ms"]
     assert len(left) == 9
     assert after["ssac_t_d_error_ms_mean"] == pytest.approx(left.mean())
     assert (before["ssac_failed"], after["ssac_failed"]) == (0, 1)
@@ -95,7 +92,7 @@ def test_a_failed_run_does_not_enter_the_means_but_is_counted():
 
 
 def test_where_no_run_is_ok_the_means_are_empty_cells():
-    table = esim_table(with_status(place(RUNS, "zncc_e"), "crashed"), 10.0)
+    table = esim_table(with_status(place("zncc_e"), "crashed"), 10.0)
     assert cell(table)["zncc_e_failed"] == 10
     (line,) = (line for line in csv_text(table).splitlines() if line.startswith("60,50,10,"))
     cells = dict(zip(table.columns, line.split(","), strict=True))

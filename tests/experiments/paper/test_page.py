@@ -62,6 +62,8 @@ def test_every_mean_and_every_verdict_is_on_the_page(page):
     differing = comparison[comparison["verdict"] == "differs"]
     assert len(listed) - 2 == len(differing) > 0
     assert [row[-1] for row in listed[2:]] == [note or "not known" for note in differing["note"]]
+    # Without provenance it is still a page.
+    assert "at commit ?" in results_page(RUNS, esim_tables(RUNS), comparison, {"gl": None})
 
 
 def test_further_flights_have_a_section_that_lists_every_changed_verdict(page):
@@ -116,12 +118,6 @@ def test_goals_say_whether_they_are_met():
         ours = [row for row in rows if row[0] == "`zncc_e`" and row[2] == "ours"]
         assert [row[-1] for row in ours] == [met, met]
         assert ours[0][3] == f"{low:.0f}"
-
-
-def test_a_page_without_provenance_is_still_a_page():
-    tables = esim_tables(RUNS)
-    page = results_page(RUNS, tables, comparison_table(tables, load_published()), {"gl": None})
-    assert "at commit ?" in page
 
 
 def test_numbers_stand_right_and_words_left():

@@ -21,7 +21,7 @@ from experiments.machine.parts import PART, Measurement, PartCell
 from experiments.machine.simulating import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
 from experiments.machine.synchronising import MARKS_S, bench_sync
 from experiments.machine.tables import measured_cells
-from experiments.paper.grids import n_recordings, table_cells
+from experiments.paper.esim import n_recordings, table_cells
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
