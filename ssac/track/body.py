@@ -56,40 +56,6 @@ class Look:
         return replace(self, focal_px=self.focal_px / factor, shares=shares, corners_px=corners)
 
 
-@dataclass(frozen=True, eq=False)
-class _Instants:
-    """Images of c cameras at n instants; where one has none, it has all of nothing."""
-
-    times_s: Array  # (n,)
-    shares: NDArray[np.float32]  # (n, c, w, w)
-    corners_px: Array  # (n, c, 2)
-    points: Array  # (n, c, 3)
-    seen: Mask  # (n, c)
-    views: Array  # (c, 3, 3)
-    focals_px: Array  # (c, 2)
-
-    @property
-    def all(self) -> Seen:
-        """Give what `registered` takes."""
-        images = self.shares, self.corners_px, self.points, self.seen
-        return *images, self.views, self.focals_px
-
-    def of(self, chosen: IntArray) -> "_Instants":
-        """Give some of them."""
-        images = self.shares[chosen], self.corners_px[chosen], self.points[chosen]
-        return _Instants(
-            self.times_s[chosen], *images, self.seen[chosen], self.views, self.focals_px
-        )
-
-    def flat(self, chosen: IntArray, attitudes: Array) -> Drawn:
-        """Give what `improved` takes of some instants."""
-        i, k = np.nonzero(self.seen[chosen])
-        i = chosen[i]
-        turns = self.views[k] @ attitudes[i]
-        found = self.shares[i, k], self.corners_px[i, k], self.points[i, k]
-        return *found, turns, self.focals_px[k]
-
-
 def body_moves(
     looks: list[Look], shape_s: Array, moments: Array, rules: BodyRules
 ) -> list[Array] | None:
@@ -105,17 +71,17 @@ def body_moves(
     size = float(np.sqrt(np.median(np.linalg.eigvalsh(moments[is_told])[:, 2])))
     factor = max(1, *(round(size * look.px_per_length / rules.full_px) for look in looks))
     looks = [look.coarser(factor) for look in looks]
-    instants, attitudes = _instants(looks, shape_s, moments, rules.step_s)
+    times_s, seen, attitudes = _instants(looks, shape_s, moments, rules.step_s)
     if len(attitudes) < rules.least_instants:
         return None
     some = _learnt(len(attitudes), rules)
-    body, good, found = _learned(instants.of(some), attitudes[some], size, rules)
-    known_s, times_s = instants.times_s[some[good]], instants.times_s
+    body, good, found = _learned(seen.of(some), attitudes[some], size, rules)
+    known_s = times_s[some[good]]
     between = Slerp(known_s, Rotation.from_matrix(found))
     attitudes = between(np.clip(times_s, known_s[0], known_s[-1])).as_matrix()
     every = np.arange(len(attitudes))
-    attitudes, costs = registered(body, instants.all, every, attitudes, rules.last_alignments)
-    attitudes, costs = _taken_over(body, instants, attitudes, costs, rules)
+    attitudes, costs = registered(body, seen, every, attitudes, rules.last_alignments)
+    _take_over(body, seen, attitudes, costs, rules)
     good = np.flatnonzero(costs <= rules.outlier * np.median(costs))
     if np.median(costs) > rules.max_left or len(good) < rules.least_instants:
         return None
@@ -132,7 +98,7 @@ def _learnt(n: int, rules: BodyRules) -> IntArray:
 
 
 def _learned(
-    instants: _Instants, attitudes: Array, size: float, rules: BodyRules
+    seen: Seen, attitudes: Array, size: float, rules: BodyRules
 ) -> tuple[Voxels, IntArray, Array]:
     """Find a body's shape; at which of the instants (k,) it is as seen; its attitudes then."""
     step = size * rules.reach_sizes / rules.voxels_across
@@ -142,19 +108,19 @@ def _learned(
     left, is_last = np.inf, False
     for number in range(rules.max_rounds):
         is_last |= number == rules.max_rounds - 1
-        flat = instants.flat(good[:: 1 + len(good) // rules.most_fitted], attitudes)
+        flat = seen.drawn(good[:: 1 + len(good) // rules.most_fitted], attitudes)
         if number < len(rules.carved_shares) and not is_last:
             body = _carved(step, size, flat, rules.carved_shares[number], rules)
         for _ in range(rules.last_fit_steps if is_last else rules.fit_steps):
             densities = improved(body, flat)
             kept = densities > rules.least_depth
             body = body[0][kept], densities[kept], step
-        attitudes, costs = registered(body, instants.all, every, attitudes, rules.alignments)
+        attitudes, costs = registered(body, seen, every, attitudes, rules.alignments)
         if not is_last:
             ill = costs > (rules.ill * np.median(costs) if number else -np.inf)
             if number < rules.yaw_rounds:
-                attitudes, costs = _yawed(body, instants, attitudes, costs, ill, rules)
-            attitudes, costs = _taken_over(body, instants, attitudes, costs, rules)
+                _yawed(body, seen, attitudes, costs, ill, rules)
+            _take_over(body, seen, attitudes, costs, rules)
         before, left = left, float(np.median(costs))
         good = np.flatnonzero(costs <= rules.outlier * left).astype(np.int64)
         if is_last:
@@ -167,11 +133,11 @@ def _learned(
 
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
-) -> tuple[_Instants, Array]:
+) -> tuple[Array, Seen, Array]:
     """Gather what is seen at even instants; give attitudes to begin with.
 
-    Its axes are those of the second moments: which of two is the longer, and which way each points,
-    is told later, by its neighbours.
+    Their axes are those of the second moments: which of two is the longer, and which way each
+    points, is told later, by neighbours.
     """
     step = max(1, round(step_s / float(np.median(np.diff(shape_s)))))
     times_s, moments = shape_s[::step], moments[::step]
@@ -187,20 +153,19 @@ def _instants(
             & np.isfinite(look.corners_px[at, 0])
             & (look.points[at, 2] > 0.0)
         )
-        own = seen[:, k]
-        w = look.shares.shape[1]
+        own, w = seen[:, k], look.shares.shape[1]
         shares[own, k, :w, :w] = look.shares[at[own]]
         corners[own, k], points[own, k] = look.corners_px[at[own]], look.points[at[own]]
     good = (seen.sum(axis=1) >= min(LEAST_VIEWS, c)) & np.isfinite(moments[:, 0, 0])
     views = np.array([look.R for look in looks])
     focals = np.array([look.focal_px for look in looks])
-    kept = shares[good], corners[good], points[good], seen[good]
     axes = np.linalg.eigh(moments[good])[1][:, :, ::-1].copy()
     for i in range(len(axes)):
         if i:
             axes[i] *= np.where(np.sum(axes[i] * axes[i - 1], axis=0) < 0.0, -1.0, 1.0)
         axes[i, :, 1] = np.cross(axes[i, :, 2], axes[i, :, 0])
-    return _Instants(times_s[good], *kept, views, focals), axes
+    all_seen = Seen(shares, corners, points, seen, views, focals)
+    return times_s[good], all_seen.of(np.flatnonzero(good)), axes
 
 
 def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRules) -> Voxels:
@@ -214,33 +179,39 @@ def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRule
 
 
 def _yawed(
-    body: Voxels, instants: _Instants, attitudes: Array, costs: Array, ill: Mask, rules: BodyRules
-) -> tuple[Array, Array]:
+    body: Voxels, seen: Seen, attitudes: Array, costs: Array, ill: Mask, rules: BodyRules
+) -> None:
     """Try turns about the least axis, which second moments tell less well than the axis itself."""
-    attitudes, costs, places = attitudes.copy(), costs.copy(), np.flatnonzero(ill)
+    places = np.flatnonzero(ill)
     yaws = Rotation.from_rotvec(np.outer(np.deg2rad(rules.yaws_deg), [0.0, 0.0, 1.0])).as_matrix()
     start = attitudes[places]
     for yaw in yaws:
-        found, left = registered(body, instants.all, places, start @ yaw, rules.alignments)
-        better = left < rules.better * costs[places]
-        attitudes[places[better]], costs[places[better]] = found[better], left[better]
-    return attitudes, costs
+        _try(body, seen, attitudes, costs, places, start @ yaw, rules)
 
 
-def _taken_over(
-    body: Voxels, instants: _Instants, attitudes: Array, costs: Array, rules: BodyRules
-) -> tuple[Array, Array]:
+def _take_over(body: Voxels, seen: Seen, attitudes: Array, costs: Array, rules: BodyRules) -> None:
     """Try at each instant what its neighbours are, which may be where it has not come to."""
-    attitudes, costs = attitudes.copy(), costs.copy()
     n = len(attitudes)
     for order, off in ((range(1, n), -1), (range(n - 2, -1, -1), 1)):
         for i in order:
             if costs[i] > costs[i + off]:
-                start, place = attitudes[i + off : i + off + 1], np.array([i])
-                found, left = registered(body, instants.all, place, start, rules.alignments)
-                if left[0] < rules.better * costs[i]:
-                    attitudes[i], costs[i] = found[0], left[0]
-    return attitudes, costs
+                start = attitudes[i + off : i + off + 1]
+                _try(body, seen, attitudes, costs, np.array([i]), start, rules)
+
+
+def _try(
+    body: Voxels,
+    seen: Seen,
+    attitudes: Array,
+    costs: Array,
+    places: IntArray,
+    start: Array,
+    rules: BodyRules,
+) -> None:
+    """Take other attitudes to start from at some instants, in place, where they end up better."""
+    found, left = registered(body, seen, places, start, rules.alignments)
+    better = left < rules.better * costs[places]
+    attitudes[places[better]], costs[places[better]] = found[better], left[better]
 
 
 def _moves(body: Voxels, look: Look, times_s: Array, attitudes: Array, rules: BodyRules) -> Array:

@@ -4,7 +4,7 @@ A voxel darkens the pixels it is before; what shines through all of them is not 
 depths are summed on pixels of half the size, shares are their means.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -21,10 +21,36 @@ Drawn = tuple[Images, Array, Array, Array, Array]
 the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
 what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
-Seen = tuple[Images, Array, Array, Mask, Array, Array]
-"""What c cameras saw at n instants: shares (n, c, w, w), where their first pixels are (n, c, 2) and
-the body's origin is (n, c, 3), which there are (n, c); what turns the axes' frame to the cameras'
-(c, 3, 3), and focal lengths (c, 2)."""
+
+class Seen(NamedTuple):
+    """Images of c cameras at n instants; where one has none, it has all of nothing."""
+
+    shares: Images  # (n, c, w, w) of pixels that are covered
+    corners_px: Array  # (n, c, 2) of the first pixels, from the principal points
+    points: Array  # (n, c, 3) the body's origin in the cameras' frames
+    is_seen: Mask  # (n, c)
+    views: Array  # (c, 3, 3) what turns the axes' frame to the cameras'
+    focals_px: Array  # (c, 2)
+
+    def of(self, chosen: IntArray) -> "Seen":
+        """Give some of the instants."""
+        return Seen(
+            self.shares[chosen],
+            self.corners_px[chosen],
+            self.points[chosen],
+            self.is_seen[chosen],
+            self.views,
+            self.focals_px,
+        )
+
+    def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
+        """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
+        i, k = np.nonzero(self.is_seen[chosen])
+        i = chosen[i]
+        turns = self.views[k] @ attitudes[i]
+        found = self.shares[i, k], self.corners_px[i, k], self.points[i, k]
+        return *found, turns, self.focals_px[k]
+
 
 View = tuple[Array, Array, Array, Array]
 """Of one image the same but for the image itself, and the body's axes first: as a camera has it."""
@@ -32,6 +58,7 @@ View = tuple[Array, Array, Array, Array]
 FINE = 2
 """Pixels of a drawing across one of the image."""
 
+_N_SLOPES = 5  # of a drawing: by three turns and two moves
 _NONE = 1e-9
 _LEAST_CURVATURE = 1e-6
 _MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
@@ -63,13 +90,22 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
     m, width = len(voxels), images.shape[1]
     fine = FINE * width
     depths, by_image, by_drawn = np.zeros((3, fine, fine))
+    no_slopes = np.zeros((0, 0, _N_SLOPES))
     seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
         view = turns[i], points[i], focals[i], corners[i]
-        top, bottom, left, right = _draw(depths, body, view)
+        top, bottom, left, right = _draw(depths, no_slopes, body, view, _N_SLOPES)
         for y in range(top, bottom):
             for x in range(left, right):
-                share = _share_of(depths, y, x)
+                share = 0.0
+                for row in range(FINE * y, FINE * y + FINE):
+                    for col in range(FINE * x, FINE * x + FINE):
+                        through = 1.0
+                        if depths[row, col] > 0.0:
+                            through = np.exp(-depths[row, col])
+                        depths[row, col] = through
+                        share += 1.0 - through
+                share /= FINE**2
                 for row in range(FINE * y, FINE * y + FINE):
                     for col in range(FINE * x, FINE * x + FINE):
                         by_image[row, col] = depths[row, col] * images[i, y, x]
@@ -100,9 +136,9 @@ def registered(
     the attitudes, and which share of the images was left (m,), as squares, before the last step.
     """
     images, corners, points, is_seen, views, focals = seen
-    m, c, width = len(places), images.shape[1], images.shape[2]
+    m, c, fine = len(places), images.shape[1], FINE * images.shape[2]
     found, costs = attitudes.copy(), np.zeros(m)
-    work = _work(width)
+    work = np.zeros((fine, fine)), np.zeros((fine, fine, _N_SLOPES))
     for i in range(m):
         at = places[i]
         moves = np.zeros((c, 2))
@@ -136,7 +172,8 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
     images, corners, points, turns, focals = drawn
     n = len(images)
     moves, costs = np.zeros((n, 2)), np.zeros(n)
-    work = _work(images.shape[1])
+    fine = FINE * images.shape[1]
+    work = np.zeros((fine, fine)), np.zeros((fine, fine, _N_SLOPES))
     for i in range(n):
         for _ in range(rounds):
             view = turns[i], points[i], focals[i], corners[i] - moves[i]
@@ -145,13 +182,6 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
             moves[i] += _within(step, _MOST_MOVE_PX)
             costs[i] = squares / (all_squares + _NONE)
     return moves, costs
-
-
-@numba.njit(cache=True)
-def _work(width: int) -> tuple[Array, Array]:
-    """Give room for depths, and for how they change by three turns and two moves; all zero."""
-    fine = FINE * width
-    return np.zeros((fine, fine)), np.zeros((fine, fine, 5))
 
 
 @numba.njit(cache=True)
@@ -170,7 +200,7 @@ def _normal(
     axes. The room for work is all zero again.
     """
     depths, slopes = work
-    top, bottom, left, right = _draw_sloped(depths, slopes, body, view, first)
+    top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     whole = 0.0
     for y in range(len(image)):
@@ -225,110 +255,50 @@ def _placed(
 
 
 @numba.njit(cache=True)
-def _draw(depths: Array, body: Voxels, view: View) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w), in place; give the first and past the last pixels."""
-    voxels, densities, step = body
-    bounds = _no_bounds(len(depths))
-    area = (FINE * step) ** 2 * view[2][0] * view[2][1]
-    for j in range(len(voxels)):
-        b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
-        if b < 0:
-            continue
-        bounds = _widened(bounds, b, a)
-        depth = densities[j] * area / z**2
-        _add(depths, b, a, q, p, depth)
-    return _of_pixels(bounds)
-
-
-@numba.njit(cache=True)
-def _draw_sloped(
+def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths and, from `first` on, how they change, as `_draw` does.
+    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
 
-    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px].
+    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
+    first and past the last rows and columns of pixels.
     """
     voxels, densities, step = body
-    turn, focal = view[0], view[2]
+    turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]
-    bounds = _no_bounds(len(depths))
-    by_u, by_v = np.zeros(5), np.zeros(5)
+    top, bottom, left, right = len(depths), 0, len(depths), 0
+    by_u, by_v = np.zeros(_N_SLOPES), np.zeros(_N_SLOPES)
     by_u[3], by_v[4] = FINE, FINE
     for j in range(len(voxels)):
         b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
         if b < 0:
             continue
-        bounds = _widened(bounds, b, a)
+        top, bottom = min(top, b), max(bottom, b + 2)
+        left, right = min(left, a), max(right, a + 2)
         depth = densities[j] * area / z**2
+        depths[b, a] += depth * (1.0 - p) * (1.0 - q)
+        depths[b, a + 1] += depth * p * (1.0 - q)
+        depths[b + 1, a] += depth * (1.0 - p) * q
+        depths[b + 1, a + 1] += depth * p * q
         if first == 0:
             x, y, h = voxels[j]
             # What is there less the origin of the image's rays, over the depth.
-            u = ((a + p - 0.5 * (FINE - 1)) / FINE + view[3][0]) / focal[0]
-            v = ((b + q - 0.5 * (FINE - 1)) / FINE + view[3][1]) / focal[1]
-            for k in range(3):
-                # The voxel moves by axis x voxel.
-                d0, d1, d2 = 0.0, 0.0, 0.0
-                if k == 0:
-                    d1, d2 = -h, y
-                elif k == 1:
-                    d0, d2 = h, -x
-                else:
-                    d0, d1 = -y, x
+            u = ((a + p - 0.5 * (FINE - 1)) / FINE + corner[0]) / focal[0]
+            v = ((b + q - 0.5 * (FINE - 1)) / FINE + corner[1]) / focal[1]
+            # The voxel moves by axis x voxel.
+            for k, (d0, d1, d2) in enumerate(((0.0, -h, y), (h, 0.0, -x), (-y, x, 0.0))):
                 dx = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
                 dy = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
                 dz = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
                 by_u[k] = FINE * focal[0] * (dx - u * dz) / z
                 by_v[k] = FINE * focal[1] * (dy - v * dz) / z
-        _add(depths, b, a, q, p, depth)
-        for k in range(first, 5):
+        for k in range(first, _N_SLOPES):
             du, dv = depth * by_u[k], depth * by_v[k]
             slopes[b, a, k] -= du * (1.0 - q) + dv * (1.0 - p)
             slopes[b, a + 1, k] += du * (1.0 - q) - dv * p
             slopes[b + 1, a, k] += dv * (1.0 - p) - du * q
             slopes[b + 1, a + 1, k] += du * q + dv * p
-    return _of_pixels(bounds)
-
-
-@numba.njit(cache=True)
-def _add(depths: Array, row: int, col: int, down: float, right: float, depth: float) -> None:
-    """Add a depth to the four pixels that a voxel is between, as `_placed` gives its place."""
-    depths[row, col] += depth * (1.0 - right) * (1.0 - down)
-    depths[row, col + 1] += depth * right * (1.0 - down)
-    depths[row + 1, col] += depth * (1.0 - right) * down
-    depths[row + 1, col + 1] += depth * right * down
-
-
-@numba.njit(cache=True)
-def _no_bounds(fine: int) -> tuple[int, int, int, int]:
-    return fine, 0, fine, 0
-
-
-@numba.njit(cache=True)
-def _widened(bounds: tuple[int, int, int, int], row: int, col: int) -> tuple[int, int, int, int]:
-    """Let bounds hold a fine pixel, and the ones right and below."""
-    top, bottom, left, right = bounds
-    return min(top, row), max(bottom, row + 2), min(left, col), max(right, col + 2)
-
-
-@numba.njit(cache=True)
-def _of_pixels(bounds: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """Give the pixels that hold fine ones."""
-    top, bottom, left, right = bounds
     return top // FINE, -(-bottom // FINE), left // FINE, -(-right // FINE)
-
-
-@numba.njit(cache=True)
-def _share_of(depths: Array, y: int, x: int) -> float:
-    """Give which share of a pixel is covered; depths become what shines through them, in place."""
-    share = 0.0
-    for row in range(FINE * y, FINE * y + FINE):
-        for col in range(FINE * x, FINE * x + FINE):
-            through = 1.0
-            if depths[row, col] > 0.0:
-                through = np.exp(-depths[row, col])
-            depths[row, col] = through
-            share += 1.0 - through
-    return share / FINE**2
 
 
 @numba.njit(cache=True)
