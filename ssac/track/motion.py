@@ -19,19 +19,18 @@ from ssac.arrays import Array, Events, Indices, IntArray, Mask
 from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.config import Windows
 from ssac.errors import SsacError
-from ssac.events import no_gaps
+from ssac.events import first_from, no_gaps
 from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
-    Sliced,
-    first_from_each,
     local_parabolas_at,
     mean_times_us,
     sharp_centres,
     sum_up,
+    whole_us,
     window_sums,
 )
 
@@ -62,22 +61,22 @@ def motion_of(clean: Clean, how: Windows) -> "Motion":
     """
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
-    n_min = clean.n_min(how.n_min)
-    sums = clean.kept.get(how.border_px)
-    if sums is None:
-        sums = clean.kept[how.border_px] = _summed_up(clean, how, n_min)
-    motion: ObjectMotion = sums
-    return motion.sampled_by(how.half_window_s, n_min, how.max_border_fraction)
+    if how.border_px not in clean.kept:
+        clean.kept[how.border_px] = _summed_up(clean, how.border_px)
+    motion: ObjectMotion = clean.kept[how.border_px]
+    return motion.sampled_by(how, clean.n_min(how.n_min))
 
 
-def _summed_up(clean: Clean, how: Windows, n_min: int) -> "ObjectMotion":
+def _summed_up(clean: Clean, border_px: int) -> "ObjectMotion":
     """Sum up all events; beside them those that no thin line holds, where there is one."""
     events = [clean.events]
     if clean.on_line is not None:
         events.append(clean.events[~clean.on_line])
-    rules = how.half_window_s, n_min, how.border_px, how.max_border_fraction
-    found = [replace(object_motion(e, clean.camera, *rules), gaps_us=clean.gaps_us) for e in events]
-    return found[0] if len(found) == 1 else replace(found[0], bare=found[1])
+    whole, *bare = (
+        replace(object_motion(some, clean.camera, border_px=border_px), gaps_us=clean.gaps_us)
+        for some in events
+    )
+    return replace(whole, bare=bare[0]) if bare else whole
 
 
 @dataclass(frozen=True)
@@ -108,17 +107,12 @@ class ObjectMotion:
         times_us, gaps_us = self.times_us + shift_us, self.gaps_us + shift_us
         return replace(self, times_us=times_us, gaps_us=gaps_us, bare=bare)
 
-    def sampled_by(
-        self, half_window_s: float, n_min: int, max_border_fraction: float
-    ) -> "ObjectMotion":
+    def sampled_by(self, how: Windows, n_min: int) -> "ObjectMotion":
         """Return the same motion, to be sampled by other rules."""
-        rules = half_window_s, n_min, max_border_fraction
+        bare = None if self.bare is None else self.bare.sampled_by(how, n_min)
+        window_s, most = how.half_window_s, how.max_border_fraction
         return replace(
-            self,
-            half_window_s=half_window_s,
-            n_min=n_min,
-            max_border_fraction=max_border_fraction,
-            bare=None if self.bare is None else self.bare.sampled_by(*rules),
+            self, half_window_s=window_s, n_min=n_min, max_border_fraction=most, bare=bare
         )
 
     def at(self, times_s: Array) -> Track:
@@ -128,12 +122,10 @@ class ObjectMotion:
         `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
         must not reach into a gap.
         """
-        sums, n = (
-            (self.position_sums_px, self.border_sums),
-            times_s.shape[-1] if times_s.ndim else 1,
-        )
+        sliced = self.times_us, self.slice_bits, self.slice_starts
+        sums, n = (self.position_sums_px, self.border_sums), (1, *times_s.shape)[-1]
         positions_px, counts, on_border = window_sums(
-            self._sliced, sums, times_s.ravel(), self.half_window_s, n
+            sliced, sums, times_s.ravel(), self.half_window_s, n
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
@@ -149,7 +141,7 @@ class ObjectMotion:
         its middle. Invalid where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
-        first, last = self._indices(times_s, -1), self._indices(times_s, +1)
+        first, last = (self._indices(times_s, side) for side in (-1, +1))
         origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
         ages_s = origin_s + self._mean_times(first, last) - times_s
         positions = track.positions_px - ages_s[:, None] * velocities
@@ -179,7 +171,7 @@ class ObjectMotion:
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
         positions, sizes = np.full((len(times_s), 2), np.nan), np.full(len(times_s), np.nan)
-        first, last = self._indices(times_s, -1)[moving], self._indices(times_s, +1)[moving]
+        first, last = (self._indices(times_s[moving], side) for side in (-1, +1))
         positions[moving], sizes[moving] = sharp_centres(
             self.times_us,
             self.position_sums_px,
@@ -200,12 +192,7 @@ class ObjectMotion:
 
     def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
-        wanted_s = (times_s + side * self.half_window_s).ravel()
-        return first_from_each(wanted_s, self._sliced).reshape(times_s.shape)
-
-    @property
-    def _sliced(self) -> Sliced:
-        return self.times_us, self.slice_bits, self.slice_starts
+        return first_from(self.times_us, whole_us(times_s + side * self.half_window_s))
 
     def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
@@ -254,13 +241,10 @@ def object_motion(
 
 def _slices(times_us: IntArray) -> tuple[int, int]:
     """Cut sorted times into slices of 2**bits us, of 4 events or more on average: bits, number."""
-    n = len(times_us)
-    if n == 0:
+    if len(times_us) == 0:
         return 0, 0
     length_us = int(times_us[-1]) - int(times_us[0])
-    bits = 0
-    while (length_us >> bits) * 4 > n:
-        bits += 1
+    bits = (length_us // (len(times_us) // 4 + 1)).bit_length()
     return bits, (length_us >> bits) + 1
 
 
