@@ -9,8 +9,7 @@ from ssac.camera import Camera
 from ssac.events import events_from_arrays
 from ssac.geometry.pose import Pencil
 from ssac.track.motion import object_motion
-from ssac.track.outline import OutlineConfig, near_outline, tangents
-from ssac.track.outline_kernels import highest_in_blocks
+from ssac.track.outline import OutlineConfig, highest_in_blocks, near_outline, tangents
 
 WIDTH, HEIGHT, FOCAL_PX = 2000, 1000, 1000.0
 SIDE_PX, MIDDLE_Y = 120.0, 500.0
