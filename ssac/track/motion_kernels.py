@@ -164,11 +164,15 @@ def sharp_centres(
     counts = np.zeros(0, np.int32)  # events in each cell; all zero between windows
     for i in range(n):
         times, sums = times_us[first[i] : last[i]], position_sums_px[first[i] : last[i] + 1]
-        n_events, ages_us = len(times), times - middles_us[i]
-        origin, velocity = (sums[n_events] - sums[0]) / n_events, velocities[i]
-        # Each event's cell at the window's middle.
-        columns = _cells(sums[1:, 0] - sums[:-1, 0] - velocity[0] * ages_us - origin[0])
-        rows = _cells(sums[1:, 1] - sums[:-1, 1] - velocity[1] * ages_us - origin[1])
+        n_events, middle_us = len(times), middles_us[i]
+        v_x, v_y = velocities[i, 0], velocities[i, 1]
+        origin_x = (sums[n_events, 0] - sums[0, 0]) / n_events
+        origin_y = (sums[n_events, 1] - sums[0, 1]) / n_events
+        columns, rows = np.empty((2, n_events), np.int32)  # each event's cell at the middle
+        for j in range(n_events):
+            age_us = times[j] - middle_us
+            columns[j] = np.rint(sums[j + 1, 0] - sums[j, 0] - v_x * age_us - origin_x)
+            rows[j] = np.rint(sums[j + 1, 1] - sums[j, 1] - v_y * age_us - origin_y)
         left, top = np.min(columns), np.min(rows)
         width = np.max(columns) - left + 1
         if width * (np.max(rows) - top + 1) > len(counts):
@@ -188,14 +192,9 @@ def sharp_centres(
             sum_x, sum_y = sum_x + weight * columns[j], sum_y + weight * rows[j]
             sum_squares += weight * (columns[j] ** 2 + rows[j] ** 2)
         x, y = sum_x / total, sum_y / total
-        centres[i, 0], centres[i, 1] = origin[0] + x, origin[1] + y
+        centres[i, 0], centres[i, 1] = origin_x + x, origin_y + y
         sizes[i] = np.sqrt(max(sum_squares / total - x**2 - y**2, 0.0))
     return centres, sizes
-
-
-@numba.njit(cache=True)
-def _cells(away_px: Array) -> IntArray:
-    return np.rint(away_px).astype(np.int64)
 
 
 @numba.njit(cache=True)
