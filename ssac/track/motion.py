@@ -4,10 +4,8 @@ The paper's Sec. IV-A: the object's position at a time is the mean of the undist
 of the events in a short window around it. Cumulative sums over the events make each such mean two
 binary searches and one difference, so that a search over thousands of offsets stays cheap.
 
-A camera that gave a track of points is sampled alike, so that no method need know which of the two
-it looks at: local parabolas stand for the means over windows. A track does not show how large the
-object is, by which methods judge what they find; a size that its noise and the image's width
-suggest stands for it.
+A track of points is sampled alike, so that no method need know which it looks at: local parabolas
+stand for means over windows, and for the object's size one that noise and image width suggest.
 """
 
 from dataclasses import dataclass, field, replace
@@ -56,8 +54,7 @@ class SharpTrack(Track):
 def motion_of(clean: Clean, how: Windows) -> "Motion":
     """Sum up a camera's object for sampling at any time (Sec. IV-A).
 
-    Sums over its events are kept with what is clean: they depend on the width of the border alone,
-    so that other windows cost nothing.
+    Sums over its events are kept with what is clean, as only the border's width changes them.
     """
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
@@ -119,8 +116,7 @@ class ObjectMotion:
         """Sample the object's motion at times (...,) [s], in about constant time per sample.
 
         A sample is valid when its window holds at least `n_min` events, of which at most
-        `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
-        must not reach into a gap.
+        `max_border_fraction` lie on the border (Sec. IV-A), and does not reach into a gap.
         """
         sliced = self.times_us, self.slice_bits, self.slice_starts
         sums, n = (self.position_sums_px, self.border_sums), (1, *times_s.shape)[-1]
@@ -137,8 +133,7 @@ class ObjectMotion:
     def centred_at(self, times_s: Array) -> Track:
         """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
 
-        Where a camera was blind for a part of a window, the mean time of its events is another than
-        its middle. Invalid where there is no velocity.
+        The mean time is another where a camera was blind. Invalid where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         first, last = (self._indices(times_s, side) for side in (-1, +1))

@@ -1,9 +1,9 @@
 """The things that move before one camera, each followed as far as it can be.
 
-Ordinary recordings show one thing, which a look at a few short bins of time tells. Where there are
-several, the events of each bin fall into blobs: cells that hang together. Blobs are followed from
-bin to bin as pieces of paths, which end where two meet or one comes apart. What stays in its place,
-as a branch in the wind, is none of them: its cells are left out.
+Ordinary recordings show one thing, as a few short bins of time tell. Where there are several, the
+events of each bin fall into blobs: cells that hang together. These are followed from bin to bin as
+pieces of paths, which end where two meet or one comes apart. Cells of what stays in its place, as a
+branch in the wind, are left out.
 """
 
 from dataclasses import dataclass, field, replace
@@ -98,11 +98,6 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     has_still = share_still > rules.several_share and longest >= rules.lasting_bins
     are_several = has_still or share_apart > 0.5 * rules.several_share
     return Objects(int(events["t"][0]), rules.bin_us, are_several, n_seen, pieces, labels)
-
-
-def _step_px(positions_px: Array) -> Array:
-    """Velocity (2,) [px per bin] over positions (n, 2) of successive bins; 0 of one."""
-    return np.asarray((positions_px[-1] - positions_px[0]) / max(len(positions_px) - 1, 1))
 
 
 @dataclass(frozen=True)
@@ -275,13 +270,14 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         near: dict[int, list[_Path]] = {k: [] for k in here}
         inside: dict[int, list[_Path]] = {k: [] for k in here}
         for path in going:
-            step_px = _step_px(blobs.centres_px[path.blobs[-rules.velocity_bins :]])
+            some_px = blobs.centres_px[path.blobs[-rules.velocity_bins :]]
+            step_px = (some_px[-1] - some_px[0]) / max(len(some_px) - 1, 1)
             there_px = blobs.centres_px[path.blobs[-1]] + step_px
             reach_px = rules.reach_px + rules.reach_share * float(np.hypot(*step_px))
             box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
             covered = [k for k in here if _overlap(box_px, blobs.corners_px[k])]
             for k in covered:
-                if _is_within(there_px, blobs.corners_px[k], rules.margin_px):
+                if _overlap(np.tile(there_px, 2), blobs.corners_px[k], rules.margin_px):
                     inside[k].append(path)
             if len(covered) > 1 or not here:  # it comes apart, or is gone
                 continue
@@ -306,20 +302,14 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         still_going = {id(path) for path in followed}
         done += [path for path in going if id(path) not in still_going]
         going = followed
-    return [
-        p.blobs
-        for p in sorted(done + going, key=lambda p: blobs.bins[p.blobs[0]])
-        if not p.is_mixed
-    ]
+    paths = sorted(done + going, key=lambda path: blobs.bins[path.blobs[0]])
+    return [path.blobs for path in paths if not path.is_mixed]
 
 
-def _overlap(one: Array, other: Array) -> bool:
-    return bool(np.all(one[:2] <= other[2:]) and np.all(other[:2] <= one[2:]))
-
-
-def _is_within(point_px: Array, box_px: Array, margin_px: float) -> bool:
-    low_px, high_px = box_px[:2] - margin_px, box_px[2:] + margin_px
-    return bool(np.all((low_px <= point_px) & (point_px <= high_px)))
+def _overlap(one: Array, other: Array, margin_px: float = 0.0) -> bool:
+    """Whether two boxes (4,) have points in common, the second with a margin."""
+    low, high = other[:2] - margin_px, other[2:] + margin_px
+    return bool(np.all(one[:2] <= high) and np.all(low <= one[2:]))
 
 
 def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
