@@ -24,11 +24,11 @@ from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
+    HALF_US,
     local_parabolas_at,
     mean_times_us,
     sharp_centres,
     sum_up,
-    whole_us,
     window_sums,
 )
 
@@ -157,11 +157,10 @@ class ObjectMotion:
     def sharp_at(self, times_s: Array) -> SharpTrack:
         """Sample the motion at times (n,) [s] where its image is sharp; not the paper's position.
 
-        How many events a part of the object makes depends on its contrast and on which way it
-        moves, and pulls the mean of the events to and fro as the object turns. Here the window's
-        events are moved to its middle with the velocity, counted in cells of one pixel, and each
-        cell counts by the square root of its events: between the mean of the events and the centre
-        of the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
+        How many events a part of the object makes pulls their mean to and fro as it turns. Here the
+        window's events are moved to its middle with the velocity and counted in cells of a pixel,
+        each of which counts by the square root of its events: between their mean and the centre of
+        the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
@@ -187,7 +186,8 @@ class ObjectMotion:
 
     def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
-        return first_from(self.times_us, whole_us(times_s + side * self.half_window_s))
+        wanted_us = np.floor(1e6 * (times_s + side * self.half_window_s) + HALF_US)
+        return first_from(self.times_us, wanted_us.astype(np.int64))
 
     def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
@@ -209,12 +209,10 @@ def object_motion(
     border_px: int = 5,
     max_border_fraction: float = 0.05,
 ) -> ObjectMotion:
-    """Prepare the events (n,) of one camera for sampling (the paper's Sec. IV-A).
+    """Prepare the events (n,) of one camera, sorted and denoised, for sampling (Sec. IV-A).
 
-    They are sorted by time and denoised; of none, every sample is invalid. Distortion is removed
-    from their coordinates before these are averaged; events at pixels that the lens model cannot
-    undistort are left out. Windows hold at least `n_min` events within half a window [s] of a
-    sample, and at most such a fraction on the border, `border_px` raw pixels wide.
+    Distortion is removed from their coordinates before these are averaged; events at pixels that
+    the lens model cannot undistort are left out. The border is `border_px` raw pixels wide.
     Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px, an
     object 40 px wide loses half of itself before 5 % of its events lie on the border, and its mean
     shifts by pixels; with 5 px it is dropped before it is cut.

@@ -15,6 +15,9 @@ TIE_US = 1e-3
 """Far more than times in seconds lose by rounding, far less than lies between even samples: which
 microsecond or event one half-way is taken for must not depend on the clock's zero."""
 
+HALF_US = 0.5 + TIE_US
+"""What a time [us] is more before it is rounded down: up where it is half-way."""
+
 
 @numba.njit(cache=True)
 def sum_up(
@@ -46,18 +49,12 @@ def sum_up(
         else:
             sum_x, sum_y = sum_x + ideal[row, column, 0], sum_y + ideal[row, column, 1]
         position_sums_px[i + 1, 0], position_sums_px[i + 1, 1] = sum_x, sum_y
-        n_on_border += min(column, row, width - 1 - column, height - 1 - row) < border_px
+        n_on_border += bool(min(column, row, width - 1 - column, height - 1 - row) < border_px)
         border_sums[i + 1] = n_on_border
         times_us[i] = t[i]
         slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # its last event writes last
     for k in range(1, len(slice_starts)):  # of slices without events
         slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
-
-
-@numba.vectorize(cache=True)
-def whole_us(time_s: float) -> np.int64:
-    """Round a time to whole microseconds; up, where it is half-way."""
-    return np.int64(np.floor(1e6 * time_s + (0.5 + TIE_US)))
 
 
 @numba.njit(cache=True)
@@ -113,8 +110,8 @@ def window_sums(
         m = min(together, n - start)
         for j in range(m):
             places[j] = place
-            edges_us[j, 0] = whole_us(middles_s[place] - half_window_s)
-            edges_us[j, 1] = whole_us(middles_s[place] + half_window_s)
+            edges_us[j, 0] = np.floor(1e6 * (middles_s[place] - half_window_s) + HALF_US)
+            edges_us[j, 1] = np.floor(1e6 * (middles_s[place] + half_window_s) + HALF_US)
             for k in range(2):
                 bounds[j, k] = _slice_of(edges_us[j, k], sliced)
             place += row_length

@@ -89,9 +89,8 @@ def tangents(
 ) -> list[Tangents]:
     """Find the upper and the lower tangent of the object's outline, that of greater angle first.
 
-    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock; `near` is of as many. A
-    tangent is invalid where the track is, when the event that gives it is on the border, or close
-    to the epipole.
+    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock. A tangent is invalid where
+    the track is, when the event that gives it is on the border, or close to the epipole.
     """
     course = _Course.of(motion, pencil, times_s, config)
     return [
@@ -176,8 +175,8 @@ class _Blocks:
     ) -> _Extremes:
         """Find how far up the outline reaches in the windows about the usable samples.
 
-        Not to the very highest value, which may be noise. Any rank lies inside the outline, the
-        more so the fewer events there are near it; the gap to a deeper rank tells how much.
+        The very highest value may be noise. Any rank lies inside the outline, the more so the fewer
+        events there are near it; the gap to a deeper rank tells how much.
         """
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
@@ -237,7 +236,9 @@ def _tangent(
     points = events.points_px[at] - ages_s[:, None] * course.velocities_px_s
     gradients = pencil.gradients(points)
     across = gradients / np.sum(gradients**2, axis=1)[:, None]  # [px/rad]
-    shifts = _wrapped(tangent_rad - pencil.angles(points))[:, None] * across
+    turn_rad = tangent_rad - pencil.angles(points)
+    turn_rad -= 2.0 * np.pi * np.rint(turn_rad / (2.0 * np.pi))
+    shifts = turn_rad[:, None] * across
     valid = np.isfinite(slopes) & (np.linalg.norm(shifts, axis=1) < config.max_shift_px)
     # A pixel makes its first event when it is partly covered, and its last when nearly left.
     velocities = (slopes / (times_s[1] - times_s[0]))[:, None] * across
@@ -260,11 +261,6 @@ def _filled(times_s: Array, values: Array) -> Array:
     if not known.any():
         return np.zeros(len(values))
     return np.asarray(np.interp(times_s, times_s[known], values[known]))
-
-
-def _wrapped(angles: Array) -> Array:
-    """Bring angles [rad] to -pi to pi."""
-    return np.asarray(angles - 2.0 * np.pi * np.rint(angles / (2.0 * np.pi)))
 
 
 _TIE = 1e-12
