@@ -60,7 +60,7 @@ class _Path:
 
     def around(self, sizes_px2: Array) -> Array:
         """Variances (n, 2) of the object's events about it."""
-        return sizes_px2 + np.where(self.known[:, None], self.variances_px2, 0.0)
+        return np.asarray(sizes_px2 + np.where(self.known[:, None], self.variances_px2, 0.0))
 
 
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:

@@ -172,7 +172,8 @@ def _labelled(
         is_full = np.bincount(own, minlength=still.size).reshape(still.shape) >= full
         n_full += is_full
         is_full &= ~still
-        found, n = label(is_full, beside)
+        found = np.zeros(still.shape, np.int32)
+        n = int(label(is_full, beside, output=found))
         # Clusters count in the order of their first events; the first one takes the cells beside.
         of_events = found.flat[own]
         _, firsts = np.unique(of_events[of_events > 0], return_index=True)
