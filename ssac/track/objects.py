@@ -173,7 +173,8 @@ def _labelled(
         n_full += is_full
         is_full &= ~still
         found = np.zeros(still.shape, np.int32)
-        n = int(label(is_full, beside, output=found))
+        label(is_full, beside, output=found)
+        n = int(found.max())
         # Clusters count in the order of their first events; the first one takes the cells beside.
         of_events = found.flat[own]
         _, firsts = np.unique(of_events[of_events > 0], return_index=True)
