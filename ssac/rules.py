@@ -18,33 +18,26 @@ from ssac.errors import SsacError
 class NoiseRules:
     """What is noise: pixels that fire by themselves, and events that are alone."""
 
-    # A pixel that is active in nearly all short bins of every part never pauses, as no object does.
-    bin_us: int = 100_000
+    bin_us: int = 100_000  # a pixel active in nearly all bins of every part is no object's
     parts: int = 10
     min_active_share: float = 0.2  # of the bins of every part
     min_bins_per_part: int = 2  # shorter recordings do not tell what stays
     min_masked_events: int = 50  # pixels with fewer are never masked
     min_over_background: float = 4.0  # times the events of an ordinary pixel
     min_cluster_px: int = 3  # fewer are alone
-    # Around a cluster that is masked there is little: of its events per pixel, less the background.
-    max_ring_share: float = 0.1
-    # A pixel alone has fewer companions around it than this, of counts less so many times apart.
-    min_companions: int = 2
-    comparable_ratio: float = 8.0
+    max_ring_share: float = 0.1  # of a masked cluster's events, less the background, around it
+    min_companions: int = 2  # around a pixel that is not alone
+    comparable_ratio: float = 8.0  # between their counts, at most
     square_px: int = 16  # side of the squares whose events tell the background
-
-    # The paper's ball [px, ms], its neighbours; and one for much noise, which keeps less beside it.
-    ball_px: float = 5.0
+    ball_px: float = 5.0  # the paper's, in px and ms
     ball_neighbours: int = 20
-    near_ball_px: float = 3.0
+    near_ball_px: float = 3.0  # for much noise: keeps less of it beside the object
     near_ball_neighbours: int = 12
     noisy_hz: float = 1.0  # background of a pixel from which the small ball is taken
-    # Share of an object's events that have more neighbours, where these are asked for.
-    min_kept_share: float = 0.9
+    min_kept_share: float = 0.9  # of an object's events, where more neighbours are asked for
     least_neighbours: int = 5  # however little noise there is
     window_s: float = 0.040  # in which noise leaves an event at most, whatever the config's window
-    # Of fewer events in a window than so many times N_min an object is thin: a share is enough.
-    thin_ratio: float = 2.0
+    thin_ratio: float = 2.0  # of an object of fewer times N_min in a window a share is enough
     thin_n_min_share: float = 0.25
     least_n_min: int = 20
 
@@ -53,8 +46,7 @@ class NoiseRules:
 class LineRules:
     """When a thin line holds the object, and which events are its."""
 
-    # On each side of the line's middle: of pendulums in a room 1.2 to 3 px served alike.
-    half_width_px: float = 2.0
+    half_width_px: float = 2.0  # of pendulums in a room 1.2 to 3 px served alike
     half_window_us: int = 20_000
     look_every: int = 5  # windows, of which one tells whether there is a line, and its course
     first_windows: int = 20  # of those, over all the recording: where none has a line there is none
@@ -88,9 +80,8 @@ class LineRules:
 class PointRules:
     """How a track of points is sampled in place of events."""
 
-    # The object's size, whichever is more: deviations of a point, or widths of the image.
-    size_sigmas: float = 10.0
-    size_widths: float = 0.01
+    size_sigmas: float = 10.0  # the object's size, in deviations of a point, or if more
+    size_widths: float = 0.01  # in widths of the image
     window_intervals: float = 2.6  # least half of a parabola's window, in intervals: five points
     max_gap_intervals: float = 2.5  # between two points that are no gap's ends: one may be missing
     least_sigma_px: float = 0.02  # of points without noise
@@ -100,20 +91,18 @@ class PointRules:
 class FaintRules:
     """How an object is followed that makes too few events to be told by their neighbours."""
 
-    # Of the radius filter: a 6 px image at 60 px/s makes some 500 events a second, noise and the
-    # edges of clouds two in this ball, by chance ten; their clumps melt when filtered again.
-    n_neighbours: int = 10  # and more, where noise leaves more than an event in a window
+    # Of the radius filter: a 6 px image at 60 px/s makes some 500 events a second, noise and clouds
+    # two in this ball, by chance ten; more, where noise leaves more than an event in a window.
+    n_neighbours: int = 10
     most_neighbours: int = 200
     ms_per_px: float = 8.0
     rounds: int = 4
     bin_us: int = 20_000  # in which a slow object goes less than its own size
-    # Density of the image's acceleration [px^2/s^3]: as of 5 m/s at 35 m. Of 200 and 600, by four
-    # flights of the outdoor twin from seed 71,000 on.
+    # Density [px^2/s^3], as of 5 m/s at 35 m: by four flights of the outdoor twin, seeds 71,000 on.
     acceleration: float = 200.0
     max_speed_variance: float = 1e4  # between two sights [px^2/s^2]
     lost_px: float = 3.0  # deviation of the predicted place, from which nothing is looked for
-    # Deviations of the background's events, above which an object is seen; 4 follow clouds.
-    significant: float = 6.0
+    significant: float = 6.0  # deviations of the background's events; 4 follow clouds
     corridor_sigmas: float = 2.5  # half its width, in deviations of the object's image
     counted: float = 4.0  # squared deviations: the best part of the object over least background
     inside: float = 9.0  # squared deviations up to which an event may be the object's
@@ -141,8 +130,7 @@ class ObjectRules:
     """When several things move before a camera, and how each is followed."""
 
     bin_us: int = 20_000  # in which an object goes a small part of its own size
-    # Share of the bins with more than one thing: 24 recordings of one drone had 0.02 at most.
-    several_share: float = 0.04
+    several_share: float = 0.04  # of the bins: 24 recordings of one drone had 0.02 at most
     still_share: float = 0.35  # of the bins in which a cell is full that stays in its place
     look_every: int = 5  # bins, of which one is looked at first
     cell_widths: float = 1 / 43  # of the image: 8 of 346 px
@@ -168,9 +156,8 @@ class TrackRules:
     """The track of the object through one camera's events, and how sure its points are."""
 
     step_s: float = 0.01  # between points: half of a window's half, so that no motion is lost
-    # Deviation of a point, in image sizes: of the events' mean as the object turns; of its area.
-    mean_sizes: float = 0.04
-    centre_sizes: float = 0.015
+    mean_sizes: float = 0.04  # deviation of the events' mean as the object turns, in image sizes
+    centre_sizes: float = 0.015  # the same of the centre of its area
     least_sigma_px: float = 0.05
 
 
@@ -178,12 +165,9 @@ class TrackRules:
 class SilhouetteRules:
     """When events tell the object's silhouette, and where it is looked for."""
 
-    # Least rms radius of an image, in the median: of a drone of 17 px few pixels tell anything.
-    min_size_px: float = 5.0
-    # Of the pixels, those that come to rest where they were: ideal sensors have over 0.99 of them.
-    min_closed_share: float = 0.8
-    # Of a track's points, those with a silhouette: one point of the object is to be followed.
-    min_share: float = 0.5
+    min_size_px: float = 5.0  # median rms radius: of a drone of 17 px few pixels tell anything
+    min_closed_share: float = 0.8  # of pixels come to rest where they were; ideal sensors: 0.99
+    min_share: float = 0.5  # of a track's points have a silhouette
     box_sizes: float = 3.0  # reach of the box from the track, in sizes of the image, and beside
     box_px: float = 4.0
     box_points: int = 20  # on each side, of which the largest image sets the box
@@ -204,8 +188,7 @@ Shape = tuple[float, float, float]
 class BodyRules:
     """When one point of a rigid body is followed in several cameras' silhouettes."""
 
-    # Power of its depth with which a part of the image counts: 3 for a ball, 4 for a flat thing.
-    depth_power: float = 4.0
+    depth_power: float = 4.0  # with which a part of an image counts: 3 of a ball, 4 of a flat thing
     step_s: float = 0.05  # between the instants of attitudes, which are interpolated in between
     max_left: float = 0.15  # share of the images, as squares, that a rigid body may leave
     least_instants: int = 60
@@ -216,7 +199,7 @@ class BodyRules:
     thickness_sizes: float = 0.5
     voxels_across: float = 20.0  # from the middle to the reach
     covered_share: float = 0.2  # of an image at a voxel
-    # Of the images that cover a voxel, in the first rounds.
+    # Of the images, those that cover a voxel, in the first rounds.
     carved_shares: tuple[float, float, float, float, float] = (0.6, 0.65, 0.7, 0.8, 0.85)
     fit_steps: int = 6  # in a round, and in the last one
     last_fit_steps: int = 15
@@ -225,11 +208,9 @@ class BodyRules:
     yaw_rounds: int = 6  # in which other yaws are tried
     yaws_deg: tuple[float, float, float, float, float] = (30.0, -30.0, 60.0, -60.0, 90.0)
     ill: float = 1.3  # of the median of what is left: there they are, and everywhere at first
-    # What is left, in the median, of a body that is good if so many instants are within twice that;
-    # and of one that is fair, once a round leaves more than such a share of what was left before.
-    good: float = 0.06
-    good_share: float = 0.8
-    fair: float = 0.1
+    good: float = 0.06  # what is left in the median, of a body that is good
+    good_share: float = 0.8  # of the instants, that are then within twice that
+    fair: float = 0.1  # the same, once a round leaves more than this share of what was left
     settled: float = 0.97
     least_depth: float = 0.02  # of a voxel: those below are nothing
     outlier: float = 2.5  # of the median of what is left
@@ -238,20 +219,15 @@ class BodyRules:
     alignments: int = 2
     last_alignments: int = 4
     learnt_steps: int = 2  # between instants at which the shape is learnt, or twice as many
-
     seen_step_s: float = 0.02  # of two views: between silhouettes
     longest_s: float = 120.0  # of two views: images of more fill the memory
-    # Halves of windows of the centres of area, and of the body's point.
-    centre_window_s: float = 0.03
-    point_window_s: float = 0.04
+    centre_window_s: float = 0.03  # half of the windows of centres of area
+    point_window_s: float = 0.04  # the same of the body's point
     smoothing_s: float = 0.1  # of second moments, between whose times there is such a step
     moments_step_s: float = 0.01
-
-    # The second moment that two views leave open: values tried, and the deviations of a body's
-    # shape to begin with, as shares of its size.
-    open_step_s: float = 0.05
-    open_values: int = 41
-    open_rounds: int = 8
+    open_step_s: float = 0.05  # the second moment that two views leave open
+    open_values: int = 41  # of it, that are tried
+    open_rounds: int = 8  # from each of these deviations of a body, as shares of its size
     open_starts: tuple[Shape, Shape, Shape] = ((0.1, 0.65, 0.75), (0.2, 0.5, 0.85), (0.3, 0.6, 0.7))
     open_settled: float = 1e-3
     open_least: float = 0.05  # deviation in any direction, as such a share: noise leaves less
@@ -262,14 +238,10 @@ class BodyRules:
 class ViewRules:
     """How one camera's view of a path is summed up (`ssac.search.view`)."""
 
-    # A path is straight when its deviation across a line is below both: by the object's rms size,
-    # which its events' mean strays by, and by the deviation along the line.
-    max_width: float = 0.3
-    max_slenderness: float = 1.0 / 8.0
-    # Mean distance of a path from itself a lag later, over its extent, of one that repeats itself.
-    max_return: float = 0.2
-    # Share of the time it is seen, for even sample times; else those it is seen at
-    even_share: float = 0.5
+    max_width: float = 0.3  # of a straight path, across, over the object's rms size
+    max_slenderness: float = 1.0 / 8.0  # and over the deviation along it
+    max_return: float = 0.2  # from itself a lag later, over its extent, of one that repeats itself
+    even_share: float = 0.5  # of the time it is seen, for even sample times
 
 
 @dataclass(frozen=True)
@@ -299,8 +271,7 @@ class SearchRules:
     min_pairs_of_pose: int = 30  # at the offset found: about four for each parameter of F
     min_in_front: float = 0.75  # share of the pairs that a pose puts in front of both cameras
     min_overlap: float = 0.5  # of the longest overlap that any offset in the interval gives
-    # First step, in steps of 1 ms, of paths as lively as simulated flights: d_avg is a V to 100 ms.
-    coarsest_steps: int = 20
+    coarsest_steps: int = 20  # of 1 ms, of paths as lively as flights: d_avg is a V to 100 ms
     least_coarse_steps: int = 5
     ordinary_swing_hz: float = 2.0
     kept_minima: int = 3  # local minima of the coarse curve that are searched further
@@ -311,8 +282,7 @@ class SearchRules:
     min_extent: float = 0.6  # rms distance of a track from its middle, over the object's rms size
     max_residual: float = 0.4  # mean epipolar distance over the rms size: else no one object
     min_second_best: float = 7.0  # times worse that another F must fit the pairs
-    # Times to and fro along a straight line, as 3.5 of any path: half as many unknowns as with F.
-    min_swings_of_line: float = 1.75
+    min_swings_of_line: float = 1.75  # as 3.5 of any path: half as many unknowns as with F
 
 
 @dataclass(frozen=True)
@@ -338,20 +308,16 @@ class AllOffsetsRules:
     worth: float = 0.85  # of the cost at the rate that is said: less is worth another rate
     rival: float = 2.0  # offsets whose cost is below this many times the least may be the true one
     max_cost: float = 0.12  # of the best offset, above which the views show no one path
-    # A method searches this far on each side of the offset found, or so many of the steps.
-    reach_s: float = 0.5
+    reach_s: float = 0.5  # on each side of the offset found, in which a method searches; or
     reach_steps: float = 4.0
-    # Times to and fro that are enough where no other offset fits nearly as well, as by chance.
-    unique_swings: float = 2.0
+    unique_swings: float = 2.0  # to and fro, that are enough where no other offset fits as well
 
 
 @dataclass(frozen=True)
 class MatchRules:
     """The one object that all cameras saw (`ssac.search.one_object`); times are half bins."""
 
-    # Offsets that are tried, and what tells the best: on nine odd recordings of two objects of the
-    # bases 1, 2 and 5 that chains of pieces did not answer.
-    lag_step: int = 2
+    lag_step: int = 2  # with what follows, by nine odd recordings of two objects, bases 1, 2 and 5
     long_pairs: int = 8  # the longest of an offset, of which any two give an F
     max_pairs: int = 40  # the longest, that bear it out
     points: int = 12  # of each
@@ -362,17 +328,15 @@ class MatchRules:
     least_pairs: int = 60  # that pieces have in common
     least_moved_px: float = 1.0  # by both, between samples that count
     least_common: int = 8  # of two pieces, that tells whether they are one object's
-    # Distance of pieces of one object: px and a share of their sizes; once matched, at most these.
-    near_px: float = 1.5
-    near_share: float = 0.2
-    firm_px: float = 1.0
+    near_px: float = 1.5  # between pieces of one object
+    near_share: float = 0.2  # and of their sizes
+    firm_px: float = 1.0  # the same once they are matched, at most
     firm_times: float = 8.0
     rounds: int = 3
-    # Time in which both views bear out one offset: less does by chance; and its share of the time
-    # in which both see anything. Of those nine, true offsets reach 0.56 to 0.85, false ones up to
-    # 0.62: the share alone does not part them.
-    min_common_s: float = 1.5
-    min_share: float = 0.5
+    min_common_s: float = 1.5  # in which both views bear out one offset: less does by chance
+    min_share: float = (
+        0.5  # of the time both see anything; of those nine true 0.56 on, false < 0.62
+    )
     rival: float = 0.7  # share of the best one's time of another offset that may be the true one
     clearly: float = 3.0  # times the best one's distance: such a rival is none
     least_distance_px: float = 0.1  # that counts as the best one's
@@ -391,8 +355,7 @@ class FitRules:
     least_common: float = 0.5  # factor by which common errors may lessen a variance
     most_shift: float = 0.5  # of intrinsics, as a share of the focal length: no fit leads further
     told_combinations: int = 2  # of the intrinsics, that two views of one path tell
-    # Largest change, in deviations, by the last iteration: events that enter the windows move it.
-    max_last_change: float = 0.5
+    max_last_change: float = 0.5  # in deviations, by the last iteration: new events move it
 
 
 @dataclass(frozen=True)
@@ -401,39 +364,30 @@ class VerdictRules:
 
     max_t_d_std_s: float = 0.025  # of an offset; the search's own steps are 20 ms
     max_pose_std_deg: float = 5.0  # of a direction of the pose; a less certain one is unobservable
-    # Largest robust deviation of the last step's distances, over the object's rms size.
-    max_spread: float = 0.12
-    # Largest mean of those distances over that deviation, 0.8 for normal errors, above both sizes.
-    max_tail: float = 1.8
+    max_spread: float = 0.12  # robust deviation of the last distances, over the object's rms size
+    max_tail: float = 1.8  # their mean over it, 0.8 of normal errors, where it is above both sizes
     small_px: float = 0.2
     small_share: float = 0.06
-    # From the rig's intrinsics to those that fit best, in their stated deviations. Of 33 pairs of
-    # real phones and camcorders the most is 3.7.
+    # From the rig's intrinsics to the best ones, in deviations: 3.7 at most of 33 pairs of phones.
     max_against: float = 4.0
     in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
     max_against_less_sure: float = 2.5  # of these
-    # What is known at least of intrinsics that are of use, as of a careless calibration: a share
-    # of the focal lengths, and of the centre.
-    least_focal: float = 0.01
-    least_centre_px: float = 5.0
+    least_focal: float = 0.01  # share by which focal lengths are known, of a careless calibration
+    least_centre_px: float = 5.0  # the same of the centre
 
 
 @dataclass(frozen=True)
 class NetworkRules:
     """How many cameras are brought together from what their pairs tell."""
 
-    # Three clocks that go round to within this agree: one found by chance is off by seconds.
-    max_closure_s: float = 0.25
+    max_closure_s: float = 0.25  # of three clocks that agree: one by chance is off by seconds
     max_off_s: float = 0.02  # of a pair from the sightings; one further off is left out
     max_turn_deg: float = 5.0  # the same of its pose
-
-    # First poses.
-    samples: int = 500
+    samples: int = 500  # of first poses
     least_angle_deg: float = 4.0  # between two rays, where they tell a depth
     max_off_depths: float = 0.03  # from a ray, of a point that its camera sees
-    # Sample times, and the share of all common ones, at which a camera sees the path in place.
-    least_inliers: int = 30
-    least_inlier_share: float = 0.4
+    least_inliers: int = 30  # times at which a camera sees the path in place
+    least_inlier_share: float = 0.4  # of all common ones
     seed_share: float = 0.5  # of a seed's common samples, to be in front of both cameras
     most_seeds: int = 30
     enough_seeds: int = 4  # of which the best is good enough where all cameras found their place
@@ -441,27 +395,21 @@ class NetworkRules:
     trials: int = 400  # of a camera's pose
     first_jerk: float = 3.0  # of a first path, in extents / s^2.5
     first_sigma_widths: float = 0.004  # of a sighting, in widths of the image
-    # A camera does not fit by this many times the others' median, and this many image widths.
-    misfit: float = 8.0
-    least_misfit_widths: float = 0.004
-
-    # The path, and clocks that may wander.
+    misfit: float = 8.0  # of a camera that does not fit, in the others' median
+    least_misfit_widths: float = 0.004  # and in widths of the image
     knot_intervals: float = 4.0  # from knot to knot, in intervals of the slowest camera but one
     knot_steps_s: tuple[float, float] = (0.02, 0.4)  # least and largest
     max_gap_s: float = 1.0  # without sightings of two cameras, in which there are no knots
     max_knot_gap_s: float = 0.5  # between knots; there is a gap where it is longer
     piece_s: float = 5.0  # between the knots of a clock
     most_pieces: int = 100
-
-    # Priors, and what errors are taken for.
     aspect_share: float = 0.2  # of the focal lengths' difference: focus changes both
     # Length by which events are behind, its deviation in all cameras alike, and each one's beside:
     # 0.2 px with noise, 0.1 px ideal, within 0.03 px in one kind (flights 900 to 903).
     behind_px: float = 0.15
     behind_std_px: float = 0.08
     behind_own_px: float = 0.035
-    # The same of silhouettes, which are not behind: 0.01 px (ideal flights 73000 and 74000).
-    level_std_px: float = 0.03
+    level_std_px: float = 0.03  # of silhouettes: 0.01 px in ideal flights 73000 and 74000
     level_own_px: float = 0.02
     least_sigma_share: float = 0.3  # of the cameras' median deviation: no camera's is less
     least_sigma_px: float = 0.01
@@ -473,16 +421,12 @@ class NetworkRules:
     steps: int = 6  # at given deviations and smoothness
     settled: float = 3e-4  # share by which the cost of a settled solution changes in a round
     gate: float = 6.0  # deviations from its place at which a sighting is left out, at last
-
-    # The object's shape, which turns more slowly than this is smoothed.
     shape_step_s: float = 0.01
-    shape_smoothing_s: float = 0.1
+    shape_smoothing_s: float = 0.1  # the object's shape turns more slowly
     # Deviations of a centre of area, in those of the body's one point, which is known to 0.025 px
     # and some 0.15 px off (flights 73000 and 74000).
     centre_sigmas: float = 5.0
-
-    # A camera sees the object at a time where it did so within this, or so many of its intervals.
-    reach_s: float = 0.1
+    reach_s: float = 0.1  # from a sighting, for which a camera sees the object; or
     reach_intervals: float = 2.5
     path_step_s: float = 0.01  # between samples of a path, at least
 
@@ -510,27 +454,21 @@ class ClockRules:
 
     piece_s: float = 5.0  # length of a piece of a clock
     max_pieces: int = 40
-    # What a tried skew may be off by at both ends: refinements converge from twice as far; and how
-    # many deviations of the prior are tried either way.
-    max_end_s: float = 0.020
-    skew_sigmas: float = 3.0
+    max_end_s: float = 0.020  # by which a tried skew is off at the ends: twice as far converges
+    skew_sigmas: float = 3.0  # deviations of the prior that are tried either way
     max_skews: int = 61
-    # A step is a jump from so many deviations on: in 80 ordinary flights it has 4.7 at most; from
-    # fewer where the fit's skew is far, as a jump bends it so.
-    jump_sigmas: float = 6.0
-    fewer_sigmas: float = 4.5
+    jump_sigmas: float = 6.0  # of a step that is a jump: 80 ordinary flights have 4.7 at most
+    fewer_sigmas: float = 4.5  # the same where the fit's skew is far, as a jump bends it
     far_sigmas: float = 3.0  # deviations of the skew's prior
     min_jump_s: float = 0.002  # an object's bias makes smaller ones of its own
     jump_step_s: float = 1.0  # between instants that are tried
     jump_margin_s: float = 2.0  # from both ends: a bias does not average out in less
     max_tried: int = 200
     jump_near_s: float = 2.0  # of the best of these, the jump is looked for closely
-    # One so large that the views match on one side of it alone: up to how many lower quartiles of
-    # the distances pairs match, by how much their shares differ, and how far the other offset is.
-    # Causes of `ssac study reasons`, bases 1 and 20.
-    large_quartiles: float = 6.0
-    large_contrast: float = 0.4
-    large_jump_s: float = 1.0
+    # One beyond which the views do not match: by causes of `ssac study reasons`, bases 1 and 20.
+    large_quartiles: float = 6.0  # lower ones of the distances, up to which pairs match
+    large_contrast: float = 0.4  # between the shares of these on both sides
+    large_jump_s: float = 1.0  # to the other offset
 
 
 @dataclass(frozen=True)
@@ -578,19 +516,16 @@ class TangencyRules:
     wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
     sharp_px: float = 0.05  # error of a tangent that is not blurred at all
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
-    # What outlines are off by all along where the pose is given: no residual shows it.
-    hidden_px: float = 0.2
+    hidden_px: float = 0.2  # outlines are off by it where the pose is given: no residual shows it
     # Where it is free: how much too wide, or too narrow, both images are, in robust deviations of
     # the tangents: by 82 odd flights of seeds 1 to 9 (numbers k with k // 9 even), 3 to 60 s.
     hidden_width: float = 1.8
-    # Rms size of both images together from which there is an outline: else pixels are too few.
-    least_size_px: float = 3.5
+    least_size_px: float = 3.5  # rms, of both images together, for an outline
     max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations
     max_rounds: int = 8  # of finding the tangents and refining; four are usual
     steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
     last_turn: float = 1e-4  # [rad] of the pose, between rounds
     far: float = 300.0  # times those last changes: then the outline is looked for anew
-
     joins_body: bool = True  # of a rigid body that both views' silhouettes tell
     body_error: float = 0.6  # of its one point, in errors of tangents
     # Deviations of errors of its point that no residual shows, in image sizes: anywhere, and per
@@ -599,9 +534,7 @@ class TangencyRules:
     body_offset: float = 0.007
     body_slope: float = 0.012
     body_lag_px: float = 0.02
-    # From the tangents' answer to the joined one, in deviations of the former: of those flights two
-    # are above 3.5, whose tangents are too sure.
-    max_apart: float = 4.0
+    max_apart: float = 4.0  # deviations, of tangents: two of those flights are above 3.5, too sure
 
 
 @dataclass(frozen=True)
@@ -610,8 +543,7 @@ class AlblRules:
 
     first_step_s: float = 0.02  # of the secants, which is doubled; Albl et al. use 1, 2, ... frames
     n_steps: int = 6
-    # With fewer inliers it is a local optimum: 0.95 at the true offset, below 0.55 elsewhere.
-    min_inlier_share: float = 0.75
+    min_inlier_share: float = 0.75  # 0.95 at the true offset, below 0.55 elsewhere
     inlier_px: float = 2.0  # Sampson distance
     # Between starts, at odd multiples of half of it: of twenty flights one linearisation within
     # half of it makes inliers of 95 % of the pairs or more, elsewhere of 72 % at most.
@@ -636,8 +568,7 @@ class SignalRules:
 class GroundRules:
     """When a network fits what is known of its frame (`ssac.network.ground`)."""
 
-    # Rms distance of cameras from where they are said to stand, as a share of their spread.
-    max_off_share: float = 0.1
+    max_off_share: float = 0.1  # of cameras from where they are said to stand, rms, of their spread
     least_explained: float = 0.9  # of the motion of RTK, by a path of the same flight
     rtk_rate_std_ppm: float = 1000.0  # of RTK's clock over a camera's: those of phones
 
@@ -648,20 +579,17 @@ class RetryRules:
 
     far_skew: float = 3.0  # prior deviations of a skew, beyond which the prior is wrong
     fast_ppm: float = 1000.0  # prior deviation of one that runs at a rate of its own
-    # Least skew that is believed in place of a jump: one of 5 ms in 20 s looks like 470 ppm.
-    least_fast_ppm: float = 600.0
-    # Of clocks that count frames at a rate that varies: a frame more or less in 5 s, of 30 a
-    # second, is 6700 ppm. On pairs of phones of drone-tracking's data set 4.
+    least_fast_ppm: float = 600.0  # of a skew, not a jump: of 5 ms in 20 s it looks like 470 ppm
+    # Of clocks that count frames: one of 30 a second more or less in 5 s is 6700 ppm. On pairs of
+    # phones of drone-tracking's data set 4.
     roughnesses_ppm: tuple[float, float] = (2000.0, 6000.0)
     any_rate: tuple[float, float] = (0.5, 2.0)  # of a track, by the other camera's
     fast_rates: tuple[float, float] = (0.9967, 1.0033)  # of events: up to 3000 ppm and a tenth
-    # Of an object that gives few events: halves of windows, neighbours, and events that a window
-    # holds at least; the background of a pixel [Hz] below which nothing needs to be filtered.
-    longer_s: float = 0.04
+    longer_s: float = 0.04  # half of a window, of an object that gives few events
     longest_s: float = 0.05
-    few_neighbours: int = 3
-    fewest: int = 8
-    quiet_hz: float = 1e-3
+    few_neighbours: int = 3  # of its events
+    fewest: int = 8  # that a window holds at least
+    quiet_hz: float = 1e-3  # background of a pixel below which nothing needs to be filtered
     # Two drones that cross again and again, or keep near each other; one drone often seems two.
     closer: ObjectRules = ObjectRules(
         several_share=0.005, cell_widths=1 / 86, apart_sizes=0.1, lasting_bins=25

@@ -95,8 +95,7 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
     What is clean already stays as it is, but for denoising that was skipped and is asked for now.
-    SsacError, of the recording's name or else of `name`, if the camera, or its events or points,
-    cannot be used: empty, unsorted, outside its sensor.
+    SsacError, of the recording's name or else of `name`, if the camera or what it gave is unusable.
     """
     if not isinstance(seen, Clean):
         seen = _checked(seen, camera, seen.name or name)
@@ -119,8 +118,7 @@ def followed(
     found = faint_track(seen.events, camera.width, camera.height, noise, rules)
     if found is None:
         return None
-    track, n = found
-    none = cleaned.events[:0]
+    none, (track, n) = cleaned.events[:0], found
     return replace(cleaned, events=none, track=track, n_followed=n, on_line=None)
 
 

@@ -29,9 +29,8 @@ class Activity:
 def activity(events: Events, width: int, height: int, rules: NoiseRules) -> Activity:
     """Count what each pixel of a sensor of that size [px] did.
 
-    All squares of some pixels in all bins are ordered by their events, and the middle fifth of them
-    is the background: an object that covers less than 40 % of the sensor, or a burst at the start,
-    has no part in it.
+    The background is the middle fifth of all squares in all bins, ordered by their events: an
+    object that covers less than 40 % of the sensor, or a burst at the start, has no part in it.
     """
     starts = _starts_of_bins(events["t"], rules.bin_us)
     counts, active, n_bins, squares = _count(
@@ -41,9 +40,8 @@ def activity(events: Events, width: int, height: int, rules: NoiseRules) -> Acti
     low, high = 0.4 * ends[-1], 0.6 * ends[-1]
     weights = np.clip(ends, low, high) - np.clip(ends - squares, low, high)
     of_square = float(weights @ np.arange(len(squares)) / max(high - low, 1.0))
-    return Activity(
-        counts, active, n_bins, of_square / (rules.square_px**2 * (1e-6 * rules.bin_us))
-    )
+    hz = of_square / (rules.square_px**2 * (1e-6 * rules.bin_us))
+    return Activity(counts, active, n_bins, hz)
 
 
 def masked_pixels(found: Activity, rules: NoiseRules) -> Mask:
@@ -117,8 +115,7 @@ def _count(
 def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
     """Whether each pixel (height, width) has many events, and too few of those around it have.
 
-    Whatever an object does, its image is larger than a pixel, and an edge of it that passes, or
-    stays, leaves similar counts along itself; a hot pixel, or two side by side, stand alone.
+    An object's edge leaves similar counts along itself; a hot pixel, or two, stand alone.
     """
     rows, columns = np.nonzero(counts >= rules.min_masked_events)
     own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
@@ -133,8 +130,7 @@ def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
 def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
     """Pixels (height, width) of clusters that never pause, and around which there is little.
 
-    Of a slow or hovering object either fails: it is not there all the time, or where it is most of
-    the time blurs into where it seldom is.
+    A slow object is not there all the time, or blurs into where it seldom is.
     """
     clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))

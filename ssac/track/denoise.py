@@ -72,11 +72,7 @@ def without_noise(
 def least_neighbours(
     background_hz: float, n_pixels: int, radius_px: float, most: int, rules: NoiseRules
 ) -> int:
-    """Fewest neighbours in a ball that leave at most one event of the noise in a window.
-
-    The noise is that of each of the sensor's pixels, at random times; `most` where even as many
-    leave more.
-    """
+    """Fewest neighbours, up to `most`, that leave at most one event of noise in a window."""
     in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
     in_window = background_hz * n_pixels * rules.window_s
     for n in range(rules.least_neighbours, most):
@@ -104,14 +100,13 @@ def radius_filter(
 ) -> Events:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
 
-    Time is scaled so that `ms_per_unit` milliseconds count as much as one pixel. An event is kept
-    when at least `n_neighbours` other events lie within `radius_px` of it (the boundary counts).
-    The sensor's size is told, or as far as the events, sorted by time, reach.
+    An event is kept when at least `n_neighbours` others, sorted by time, lie within `radius_px` of
+    it (the boundary counts), where `ms_per_unit` milliseconds count as one pixel. The sensor's size
+    is told, or as far as the events reach.
 
-    The core of the ball, for as long as all of it lasts, has its events counted as they come and
-    go, and where it holds enough the event is kept at a cost that depends neither on the rate of
-    events nor on the size of the sensor. For the others, the events of each pixel around are looked
-    through from the latest one on, the nearest pixels first.
+    The core of the ball has its events counted as they come and go, and where it holds enough the
+    event is kept at once. For the others, the events of each pixel around are looked through from
+    the latest one on, the nearest pixels first.
     """
     if len(events) <= n_neighbours:
         return events[:0]
@@ -139,10 +134,7 @@ _NEVER_US = -(1 << 61)
 
 
 def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
-    """Middles of three pixels of a column each, which no circle of that radius cuts: as cells.
-
-    Cells are numbered column by column, of `n_rows` each, from that in the circle's middle on.
-    """
+    """Cells, of columns of `n_rows`, in the middle of three pixels that no circle cuts."""
     reach_px, found = int(np.sqrt(squared_px)), []
     for column in range(-reach_px, reach_px + 1):
         n_threes = (2 * int(np.sqrt(squared_px - column**2)) + 1) // 3
@@ -152,10 +144,7 @@ def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
 
 
 def _ball(radius_px: float, us_per_px: float) -> tuple[IntArray, IntArray]:
-    """Pixels (k, 2) [px] that a ball about a pixel reaches, the nearest first, and how far (k,).
-
-    That is the most that two events of these pixels may lie apart in time [us].
-    """
+    """Pixels (k, 2) [px] that a ball reaches, the nearest first, and for how long (k,) [us]."""
     axis_px = np.arange(-int(radius_px), int(radius_px) + 1)
     offsets_px = np.stack(np.meshgrid(axis_px, axis_px, indexing="ij"), axis=-1).reshape(-1, 2)
     squares_px = np.sum(offsets_px**2, axis=1)
@@ -183,12 +172,11 @@ def _has_neighbours(
 ) -> Mask:
     """Whether each event has `n_neighbours` others within a ball.
 
-    The sensor is of so many columns and rows of cells, so many of which are a margin on each side.
-    The ball is of cells `steps` from an event's, the nearest first, for `spans_us` before and after
-    it; all that are at most one row from `core` belong to it for `core_us`. As the core is a tuple,
-    of a length that is known, loops over it are compiled without a loop; and an index without a
-    sign needs no look whether it counts from the end. Events of at most `longest_us` are taken
-    together; the power of two `length` is above the number of all that they and a ball reach.
+    The sensor has columns and rows of cells, and a margin on each side. The ball is of cells
+    `steps` from an event's for `spans_us`, all at most one row from `core` for `core_us`. Loops
+    over a tuple are compiled without a loop, and an index without a sign is not looked at twice.
+    Events of at most `longest_us` are taken together; `length`, a power of two, is above the number
+    of all that they and a ball reach.
     """
     n, radius_us = len(t), spans_us[0]
     together, leap = 64, 16  # events are taken by so many, so that loops are few, and long

@@ -58,13 +58,16 @@ class _Path:
     variances_px2: Array  # (n, 2) of the positions
     known: Mask  # (n,) well enough to look for events
 
+    def around(self, sizes_px2: Array) -> Array:
+        """Variances (n, 2) of the object's events about it."""
+        return np.asarray(sizes_px2 + np.where(self.known[:, None], self.variances_px2, 0.0))
+
 
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
     """Find the events of one object that makes too few to be told from noise by their neighbours.
 
-    What the radius filter leaves is surely the object's, but has gaps where it is far or slow;
-    through these it is followed. Where that is too little to follow, it is all that is given.
-    SsacError when no event is surely of an object.
+    What the radius filter leaves is surely the object's, but has gaps, through which it is
+    followed; too little to follow is all that is given. SsacError when no event is surely of one.
     """
     by = by or Rules()
     rules = by.faint
@@ -84,9 +87,8 @@ def faint_track(
 ) -> tuple[PointTrack, int] | None:
     """Follow one object that makes too few events for a window to hold enough of them.
 
-    Gives a point of each bin in which its place is known well, and how many events are the
-    object's. A place is smoothed: it rests on the events before and after, of a time in which the
-    object may go many times its own size. None where too little is sure to follow it.
+    Gives a point of each bin in which its place is known well, smoothed by the events before and
+    after, and how many events are the object's. None where too little is sure to follow it.
     """
     kept, sure = _sure(events, width, height, noise, rules)
     found = follow(kept, sure, width, height, rules) if len(sure) else None
@@ -123,8 +125,8 @@ def follow(
 ) -> Followed | None:
     """Follow the one object that a camera sees between and beyond where it is sure.
 
-    Of all events, sorted by time and without what fires by itself, a strict filter left those that
-    are sure: next to none of noise. None where these are too few for the size of the image.
+    Events are sorted by time, without what fires by itself; of those that are sure next to none is
+    noise. None where these are too few for the size of the image.
     """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)
@@ -160,8 +162,7 @@ _LEAST_WEIGHT = 1e-3  # of what is measured in a bin, in events
 
 
 def _binned(events: Events, bin_us: int) -> _Binned:
-    times_us = events["t"]
-    start_us = int(times_us[0])
+    times_us, start_us = events["t"], int(events["t"][0])
     n = int(times_us[-1] - start_us) // bin_us + 1
     bounds = np.searchsorted(times_us, start_us + bin_us * np.arange(n + 1))
     ages_s = 1e-6 * ((times_us - start_us) % bin_us - 0.5 * bin_us)
@@ -239,23 +240,23 @@ def _rates(
     bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
 ) -> tuple[Array, Array, Mask]:
     """Events of the object in each bin, of all else in a bin and a pixel, and where it is seen."""
-    nothing, around = np.zeros(len(bins)), rules.window_bins
-    sums, known = _sums(bins, path, sizes_px2, nothing, nothing, rules), path.known
-    variances_px2 = sizes_px2 + np.where(known[:, None], path.variances_px2, 0.0)
-    area_px2 = np.pi * np.sqrt(np.prod(variances_px2, axis=1))
+    nothing, known = np.zeros(len(bins)), path.known
+
+    def around(values: Array) -> Array:
+        return _around(np.where(known, values, 0.0), rules.window_bins)
+
+    sums = _sums(bins, path, sizes_px2, nothing, nothing, rules)
+    area_px2 = np.pi * np.sqrt(np.prod(path.around(sizes_px2), axis=1))
     low = np.maximum(path.positions_px - rules.half_px, -0.5)
     high = np.minimum(path.positions_px + rules.half_px, np.array(size) - 0.5)
     around_px2 = np.prod(high - low, axis=1) - rules.around * area_px2
     around_px2 = np.maximum(around_px2, rules.least_around_px2)
-    n_around = _around(np.where(known, sums[:, 1], 0.0), around)
-    all_px2 = np.maximum(_around(np.where(known, around_px2, 0.0), around), 1e-9)
+    n_around, all_px2 = around(sums[:, 1]), np.maximum(around(around_px2), 1e-9)
     background = np.maximum(n_around / all_px2, rules.least_background)
-    expected = np.where(known, background * rules.counted * area_px2, 0.0)
-    found = _around(np.where(known, sums[:, 0], 0.0), around)
-    expected = _around(expected, around)
-    above = found - expected
+    expected = around(background * rules.counted * area_px2)
+    above = around(sums[:, 0]) - expected
     seen = known & (above > rules.significant * np.sqrt(expected + 1.0))
-    n_known = np.maximum(_around(np.where(known, 1.0, 0.0), around), 1.0)
+    n_known = np.maximum(around(np.ones(len(bins))), 1.0)
     rates = above / n_known / (1.0 - np.exp(-0.5 * rules.counted))
     return np.where(seen, rates, 0.0), background, seen
 
@@ -269,9 +270,8 @@ def _sums(
     rules: FaintRules,
 ) -> Array:
     """Sum up the events about a path, as `_sums_in_bins` does."""
-    variances_px2 = sizes_px2 + np.where(path.known[:, None], path.variances_px2, 0.0)
     events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
-    expected = path.known, path.positions_px, path.velocities_px_s, variances_px2
+    expected = path.known, path.positions_px, path.velocities_px_s, path.around(sizes_px2)
     limits = rules.half_px, rules.counted, rules.inside, rules.around
     return _sums_in_bins(events, expected, limits, rates, background)
 
@@ -293,8 +293,7 @@ def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
 
 def _around(values: Array, bins: int) -> Array:
     """Sum up the values (n,) of each bin and so many on each side."""
-    ends = np.concatenate([[0.0], np.cumsum(values)])
-    index = np.arange(len(values))
+    ends, index = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     last = np.minimum(index + bins + 1, len(values))
     return np.asarray(ends[last] - ends[np.maximum(index - bins, 0)])
 
@@ -366,15 +365,10 @@ def _sums_in_bins(
 ) -> Array:
     """Sum up the events (m,) about a path, in the bins (n,) where it is known.
 
-    Of the events ages from the middle of their bins on, x and y; bin k begins with event bounds[k].
-    Of the path where it is known, and positions, velocities and variances of events about them,
-    (n, 2). The limits: half the side of the square in which events are looked at [px], and in
-    squared deviations up to where they are counted, up to where they may be the object's, and from
-    where they tell what lies around. Rates and background (n,) are events of the object in a bin,
-    and of all else in a bin and a pixel.
-
-    Gives (n, 5): events counted, events around; weights, of each event the share of the object in
-    all that is there; and weighted sums of x and y.
+    Bin k begins with event bounds[k]. Limits are `half_px`, `counted`, `inside` and `around` of the
+    rules. Rates and background (n,) are events of the object in a bin, and of all else in a bin and
+    a pixel. Gives (n, 5): events counted, events around; weights, of each event the share of the
+    object in all that is there; and weighted sums of x and y.
     """
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path

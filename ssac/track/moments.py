@@ -98,8 +98,8 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
 def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
     """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
 
-    Two views leave one combination open: that of both rays. It is looked for at every `step`-th
-    time, such that the body's three deviations are the same all along, and that it turns smoothly.
+    Two views leave the combination of both rays open. It is looked for at every `step`-th time,
+    such that the body's three deviations stay the same, and that it turns smoothly.
     """
     told = second_moments(views, smoothing, least_views=2)
     seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
@@ -160,8 +160,7 @@ def _smoothest(
                 best = np.inf
                 for a in range(k):
                     total = before[a]
-                    for j in range(6):
-                        times = 1.0 if j == 0 or j == 3 or j == 5 else 2.0
+                    for j, times in enumerate((1.0, 2.0, 2.0, 1.0, 2.0, 1.0)):
                         total += weight * times * (tensors[i, b, j] - tensors[i - 1, a, j]) ** 2
                     if total < best:
                         best, back[i, b] = total, a

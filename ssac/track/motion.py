@@ -4,10 +4,8 @@ The paper's Sec. IV-A: the object's position at a time is the mean of the undist
 of the events in a short window around it. Cumulative sums over the events make each such mean two
 binary searches and one difference, so that a search over thousands of offsets stays cheap.
 
-A camera that gave a track of points is sampled alike, so that no method need know which of the two
-it looks at: local parabolas stand for the means over windows. A track does not show how large the
-object is, by which methods judge what they find; a size that its noise and the image's width
-suggest stands for it.
+A track of points is sampled alike, so that no method need know which it looks at: local parabolas
+stand for means over windows, and for the object's size one that noise and image width suggest.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,15 +17,14 @@ from ssac.arrays import Array, Events, Indices, IntArray, Mask
 from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.config import Windows
 from ssac.errors import SsacError
-from ssac.events import no_gaps
+from ssac.events import first_from, no_gaps
 from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
-    Sliced,
-    first_from_each,
+    HALF_US,
     local_parabolas_at,
     mean_times_us,
     sharp_centres,
@@ -57,27 +54,26 @@ class SharpTrack(Track):
 def motion_of(clean: Clean, how: Windows) -> "Motion":
     """Sum up a camera's object for sampling at any time (Sec. IV-A).
 
-    Sums over its events are kept with what is clean: they depend on the width of the border alone,
-    so that other windows cost nothing.
+    Sums over its events are kept with what is clean, as only the border's width changes them.
     """
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
-    n_min = clean.n_min(how.n_min)
-    sums = clean.kept.get(how.border_px)
-    if sums is None:
-        sums = clean.kept[how.border_px] = _summed_up(clean, how, n_min)
-    motion: ObjectMotion = sums
-    return motion.sampled_by(how.half_window_s, n_min, how.max_border_fraction)
+    if how.border_px not in clean.kept:
+        clean.kept[how.border_px] = _summed_up(clean, how.border_px)
+    motion: ObjectMotion = clean.kept[how.border_px]
+    return motion.sampled_by(how, clean.n_min(how.n_min))
 
 
-def _summed_up(clean: Clean, how: Windows, n_min: int) -> "ObjectMotion":
+def _summed_up(clean: Clean, border_px: int) -> "ObjectMotion":
     """Sum up all events; beside them those that no thin line holds, where there is one."""
     events = [clean.events]
     if clean.on_line is not None:
         events.append(clean.events[~clean.on_line])
-    rules = how.half_window_s, n_min, how.border_px, how.max_border_fraction
-    found = [replace(object_motion(e, clean.camera, *rules), gaps_us=clean.gaps_us) for e in events]
-    return found[0] if len(found) == 1 else replace(found[0], bare=found[1])
+    whole, *bare = (
+        replace(object_motion(some, clean.camera, border_px=border_px), gaps_us=clean.gaps_us)
+        for some in events
+    )
+    return replace(whole, bare=bare[0]) if bare else whole
 
 
 @dataclass(frozen=True)
@@ -108,32 +104,24 @@ class ObjectMotion:
         times_us, gaps_us = self.times_us + shift_us, self.gaps_us + shift_us
         return replace(self, times_us=times_us, gaps_us=gaps_us, bare=bare)
 
-    def sampled_by(
-        self, half_window_s: float, n_min: int, max_border_fraction: float
-    ) -> "ObjectMotion":
+    def sampled_by(self, how: Windows, n_min: int) -> "ObjectMotion":
         """Return the same motion, to be sampled by other rules."""
-        rules = half_window_s, n_min, max_border_fraction
+        bare = None if self.bare is None else self.bare.sampled_by(how, n_min)
+        window_s, most = how.half_window_s, how.max_border_fraction
         return replace(
-            self,
-            half_window_s=half_window_s,
-            n_min=n_min,
-            max_border_fraction=max_border_fraction,
-            bare=None if self.bare is None else self.bare.sampled_by(*rules),
+            self, half_window_s=window_s, n_min=n_min, max_border_fraction=most, bare=bare
         )
 
     def at(self, times_s: Array) -> Track:
         """Sample the object's motion at times (...,) [s], in about constant time per sample.
 
         A sample is valid when its window holds at least `n_min` events, of which at most
-        `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
-        must not reach into a gap.
+        `max_border_fraction` lie on the border (Sec. IV-A), and does not reach into a gap.
         """
-        sums, n = (
-            (self.position_sums_px, self.border_sums),
-            times_s.shape[-1] if times_s.ndim else 1,
-        )
+        sliced = self.times_us, self.slice_bits, self.slice_starts
+        sums, n = (self.position_sums_px, self.border_sums), (1, *times_s.shape)[-1]
         positions_px, counts, on_border = window_sums(
-            self._sliced, sums, times_s.ravel(), self.half_window_s, n
+            sliced, sums, times_s.ravel(), self.half_window_s, n
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
@@ -145,11 +133,10 @@ class ObjectMotion:
     def centred_at(self, times_s: Array) -> Track:
         """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
 
-        Where a camera was blind for a part of a window, the mean time of its events is another than
-        its middle. Invalid where there is no velocity.
+        The mean time is another where a camera was blind. Invalid where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
-        first, last = self._indices(times_s, -1), self._indices(times_s, +1)
+        first, last = (self._indices(times_s, side) for side in (-1, +1))
         origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
         ages_s = origin_s + self._mean_times(first, last) - times_s
         positions = track.positions_px - ages_s[:, None] * velocities
@@ -170,16 +157,15 @@ class ObjectMotion:
     def sharp_at(self, times_s: Array) -> SharpTrack:
         """Sample the motion at times (n,) [s] where its image is sharp; not the paper's position.
 
-        How many events a part of the object makes depends on its contrast and on which way it
-        moves, and pulls the mean of the events to and fro as the object turns. Here the window's
-        events are moved to its middle with the velocity, counted in cells of one pixel, and each
-        cell counts by the square root of its events: between the mean of the events and the centre
-        of the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
+        How many events a part of the object makes pulls their mean to and fro as it turns. Here the
+        window's events are moved to its middle with the velocity and counted in cells of a pixel,
+        each of which counts by the square root of its events: between their mean and the centre of
+        the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
         positions, sizes = np.full((len(times_s), 2), np.nan), np.full(len(times_s), np.nan)
-        first, last = self._indices(times_s, -1)[moving], self._indices(times_s, +1)[moving]
+        first, last = (self._indices(times_s[moving], side) for side in (-1, +1))
         positions[moving], sizes[moving] = sharp_centres(
             self.times_us,
             self.position_sums_px,
@@ -200,12 +186,8 @@ class ObjectMotion:
 
     def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
-        wanted_s = (times_s + side * self.half_window_s).ravel()
-        return first_from_each(wanted_s, self._sliced).reshape(times_s.shape)
-
-    @property
-    def _sliced(self) -> Sliced:
-        return self.times_us, self.slice_bits, self.slice_starts
+        wanted_us = np.floor(1e6 * (times_s + side * self.half_window_s) + HALF_US)
+        return first_from(self.times_us, wanted_us.astype(np.int64))
 
     def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
@@ -227,12 +209,10 @@ def object_motion(
     border_px: int = 5,
     max_border_fraction: float = 0.05,
 ) -> ObjectMotion:
-    """Prepare the events (n,) of one camera for sampling (the paper's Sec. IV-A).
+    """Prepare the events (n,) of one camera, sorted and denoised, for sampling (Sec. IV-A).
 
-    They are sorted by time and denoised; of none, every sample is invalid. Distortion is removed
-    from their coordinates before these are averaged; events at pixels that the lens model cannot
-    undistort are left out. Windows hold at least `n_min` events within half a window [s] of a
-    sample, and at most such a fraction on the border, `border_px` raw pixels wide.
+    Distortion is removed from their coordinates before these are averaged; events at pixels that
+    the lens model cannot undistort are left out. The border is `border_px` raw pixels wide.
     Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px, an
     object 40 px wide loses half of itself before 5 % of its events lie on the border, and its mean
     shifts by pixels; with 5 px it is dropped before it is cut.
@@ -254,13 +234,10 @@ def object_motion(
 
 def _slices(times_us: IntArray) -> tuple[int, int]:
     """Cut sorted times into slices of 2**bits us, of 4 events or more on average: bits, number."""
-    n = len(times_us)
-    if n == 0:
+    if len(times_us) == 0:
         return 0, 0
     length_us = int(times_us[-1]) - int(times_us[0])
-    bits = 0
-    while (length_us >> bits) * 4 > n:
-        bits += 1
+    bits = (length_us // (len(times_us) // 4 + 1)).bit_length()
     return bits, (length_us >> bits) + 1
 
 

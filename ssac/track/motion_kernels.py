@@ -12,11 +12,11 @@ Sliced = tuple[IntArray, int, Starts]
 """Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
 
 TIE_US = 1e-3
-"""Far more than times in seconds lose by rounding, far less than lies between even samples.
+"""Far more than times in seconds lose by rounding, far less than lies between even samples: which
+microsecond or event one half-way is taken for must not depend on the clock's zero."""
 
-Even samples often fall half-way between two microseconds, or on an event. Which one they are taken
-for must not depend on the clock's zero.
-"""
+HALF_US = 0.5 + TIE_US
+"""What a time [us] is more before it is rounded down: up where it is half-way."""
 
 
 @numba.njit(cache=True)
@@ -35,11 +35,8 @@ def sum_up(
     """Fill in what an `ObjectMotion` holds of n events, in one pass over them.
 
     Where each pixel is imaged without distortion stands in `ideal` (height, width, 2); None: where
-    it is. The border is the sensor's width and height, and that of its border [px].
-
-    To be filled in are arrays of shapes (n,), (n + 1, 2), (n + 1,) and, zero so far, (s + 1,): sums
-    are of the events before each, the last of all; a slice of 2**slice_bits us starts with its
-    first event, and ends with n. NumPy gives such arrays in large pages of memory, which Numba does
+    it is. The border is the sensor's width and height, and that of its border [px]. The arrays are
+    given, the starts zero so far, as NumPy makes them in large pages of memory, which Numba does
     not: to touch small ones for the first time takes as long as all else here.
     """
     width, height, border_px = border
@@ -52,21 +49,12 @@ def sum_up(
         else:
             sum_x, sum_y = sum_x + ideal[row, column, 0], sum_y + ideal[row, column, 1]
         position_sums_px[i + 1, 0], position_sums_px[i + 1, 1] = sum_x, sum_y
-        is_inside = (border_px <= column < width - border_px) and (
-            border_px <= row < height - border_px
-        )
-        n_on_border += not is_inside
+        n_on_border += bool(min(column, row, width - 1 - column, height - 1 - row) < border_px)
         border_sums[i + 1] = n_on_border
         times_us[i] = t[i]
         slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # its last event writes last
     for k in range(1, len(slice_starts)):  # of slices without events
         slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
-
-
-@numba.njit(cache=True)
-def _whole_us(time_s: float) -> np.int64:
-    """Round a time to whole microseconds; up, where it is half-way."""
-    return np.int64(np.floor(1e6 * time_s + (0.5 + TIE_US)))
 
 
 @numba.njit(cache=True)
@@ -98,17 +86,6 @@ def _first_within(time_us: np.int64, times_us: IntArray, low: int, high: int) ->
 
 
 @numba.njit(cache=True)
-def first_from_each(wanted_s: Array, sliced: Sliced) -> Indices:
-    """Index (m,) of the first of the sorted times [us] at or after each wanted one [s]."""
-    indices = np.empty(len(wanted_s), np.intp)
-    for i in range(len(wanted_s)):
-        time_us = _whole_us(wanted_s[i])
-        low, high = _slice_of(time_us, sliced)
-        indices[i] = _first_within(time_us, sliced[0], low, high)
-    return indices
-
-
-@numba.njit(cache=True)
 def window_sums(
     sliced: Sliced,
     sums: tuple[Array, Starts],
@@ -133,8 +110,8 @@ def window_sums(
         m = min(together, n - start)
         for j in range(m):
             places[j] = place
-            edges_us[j, 0] = _whole_us(middles_s[place] - half_window_s)
-            edges_us[j, 1] = _whole_us(middles_s[place] + half_window_s)
+            edges_us[j, 0] = np.floor(1e6 * (middles_s[place] - half_window_s) + HALF_US)
+            edges_us[j, 1] = np.floor(1e6 * (middles_s[place] + half_window_s) + HALF_US)
             for k in range(2):
                 bounds[j, k] = _slice_of(edges_us[j, k], sliced)
             place += row_length
@@ -165,10 +142,7 @@ def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
         if last[i] > first[i]:
-            total, of_window = 0, times_us[first[i] : last[i]]  # summed by vector instructions
-            for k in range(len(of_window)):
-                total += of_window[k] - times_us[0]
-            means[i] = total / (last[i] - first[i])
+            means[i] = np.sum(times_us[first[i] : last[i]] - times_us[0]) / (last[i] - first[i])
     return means
 
 
@@ -184,38 +158,33 @@ def sharp_centres(
     """Centres (n, 2) [px] and sizes (n,) [px] of windows' event images; velocities in [px/us]."""
     n = len(first)
     centres, sizes = np.empty((n, 2)), np.empty(n)
-    columns = np.empty(np.max(last - first) if n else 0, np.int32)  # each event's cell
-    rows = np.empty_like(columns)
-    firsts = np.empty(len(columns) + 1, np.int32)  # first event of each cell, in their order
     counts = np.zeros(0, np.int32)  # events in each cell; all zero between windows
     for i in range(n):
-        n_events = last[i] - first[i]
         times, sums = times_us[first[i] : last[i]], position_sums_px[first[i] : last[i] + 1]
+        n_events, middle_us = len(times), middles_us[i]
+        v_x, v_y = velocities[i, 0], velocities[i, 1]
         origin_x = (sums[n_events, 0] - sums[0, 0]) / n_events
         origin_y = (sums[n_events, 1] - sums[0, 1]) / n_events
-        left, right, top, bottom = _cells_at(
-            times,
-            sums.reshape(-1),
-            middles_us[i],
-            (velocities[i, 0], velocities[i, 1]),
-            (origin_x, origin_y),
-            columns,
-            rows,
-        )
-        width = right - left + 1
-        if width * (bottom - top + 1) > len(counts):
-            counts = np.zeros(width * (bottom - top + 1), np.int32)
+        columns, rows = np.empty((2, n_events), np.int32)  # each event's cell at the middle
+        for j in range(n_events):
+            age_us = times[j] - middle_us
+            columns[j] = np.rint(sums[j + 1, 0] - sums[j, 0] - v_x * age_us - origin_x)
+            rows[j] = np.rint(sums[j + 1, 1] - sums[j, 1] - v_y * age_us - origin_y)
+        left, top = np.min(columns), np.min(rows)
+        width = np.max(columns) - left + 1
+        if width * (np.max(rows) - top + 1) > len(counts):
+            counts = np.zeros(width * (np.max(rows) - top + 1), np.int32)
+        cells = (rows - top) * width + columns - left
+        firsts = np.empty(n_events + 1, np.int32)  # first event of each cell, in their order
         n_cells = 0
         for j in range(n_events):
-            cell = np.uint32((rows[j] - top) * width + columns[j] - left)
             firsts[n_cells] = j  # and written over, where it is not the first: nothing to foresee
-            n_cells += counts[cell] == 0
-            counts[cell] += 1
+            n_cells += counts[cells[j]] == 0
+            counts[cells[j]] += 1
         total, sum_x, sum_y, sum_squares = 0.0, 0.0, 0.0, 0.0
         for j in firsts[:n_cells]:
-            cell = np.uint32((rows[j] - top) * width + columns[j] - left)
-            weight = np.sqrt(counts[cell])
-            counts[cell] = 0
+            weight = np.sqrt(counts[cells[j]])
+            counts[cells[j]] = 0
             total += weight
             sum_x, sum_y = sum_x + weight * columns[j], sum_y + weight * rows[j]
             sum_squares += weight * (columns[j] ** 2 + rows[j] ** 2)
@@ -223,36 +192,6 @@ def sharp_centres(
         centres[i, 0], centres[i, 1] = origin_x + x, origin_y + y
         sizes[i] = np.sqrt(max(sum_squares / total - x**2 - y**2, 0.0))
     return centres, sizes
-
-
-@numba.njit(cache=True)
-def _cells_at(
-    times_us: IntArray,
-    sums_px: Array,
-    middle_us: float,
-    velocity: tuple[float, float],
-    origin_px: tuple[float, float],
-    columns: NDArray[np.int32],
-    rows: NDArray[np.int32],
-) -> tuple[np.int32, np.int32, np.int32, np.int32]:
-    """Fill in each event's cell at the window's middle; the least and largest column, and row.
-
-    Of n events; their sums (2 * n + 2,) are of x, y by turns. Nothing but numbers of its own in the
-    loop, which is compiled to vector instructions.
-    """
-    left = top = np.int32(1 << 30)
-    right = bottom = np.int32(-(1 << 30))
-    velocity_x, velocity_y = velocity
-    origin_x, origin_y = origin_px
-    for j in range(len(times_us)):
-        age_us = times_us[j] - middle_us
-        x = sums_px[2 * j + 2] - sums_px[2 * j] - velocity_x * age_us
-        y = sums_px[2 * j + 3] - sums_px[2 * j + 1] - velocity_y * age_us
-        column, row = np.int32(np.rint(x - origin_x)), np.int32(np.rint(y - origin_y))
-        columns[j], rows[j] = column, row
-        left, right = min(left, column), max(right, column)
-        top, bottom = min(top, row), max(bottom, row)
-    return left, right, top, bottom
 
 
 @numba.njit(cache=True)

@@ -1,21 +1,23 @@
 """The things that move before one camera, each followed as far as it can be.
 
-Ordinary recordings show one thing, which a look at a few short bins of time tells. Where there are
-several, the events of each bin fall into blobs: cells that hang together. Blobs are followed from
-bin to bin as pieces of paths, which end where two meet or one comes apart. What stays in its place,
-as a branch in the wind, is none of them: its cells are left out.
+Ordinary recordings show one thing, as a few short bins of time tell. Where there are several, the
+events of each bin fall into blobs: cells that hang together. These are followed from bin to bin as
+pieces of paths, which end where two meet or one comes apart. Cells of what stays in its place, as a
+branch in the wind, are left out.
 """
 
 from dataclasses import dataclass, field, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, label, minimum_filter
 
-from ssac.arrays import Array, Events, IntArray, Mask, Pixels
+from ssac.arrays import Array, Events, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
 from ssac.rules import ObjectRules
+
+Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Objects:
     are_several: bool  # not the parts of one, which keep together
     n_seen: int  # at a time, those that stay in their place included
     pieces: list[Piece]  # of those that move, in order of time
-    blob_of_event: NDArray[np.int32] = field(repr=False)  # (n,) -1: of none
+    blob_of_event: Labels = field(repr=False)  # (n,) -1: of none
 
     def events_of(self, pieces: list[Piece]) -> Mask:
         """Tell which events (n,) belong to some of the pieces."""
@@ -98,11 +100,6 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     return Objects(int(events["t"][0]), rules.bin_us, are_several, n_seen, pieces, labels)
 
 
-def _step_px(positions_px: Array) -> Array:
-    """Velocity (2,) [px per bin] over positions (n, 2) of successive bins; 0 of one."""
-    return np.asarray((positions_px[-1] - positions_px[0]) / max(len(positions_px) - 1, 1))
-
-
 @dataclass(frozen=True)
 class _Cells:
     """Squares of a sensor."""
@@ -132,19 +129,62 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
 
 def _blobs(
     events: Events, bounds: IntArray, cells: _Cells, rules: ObjectRules
-) -> tuple[Blobs, NDArray[np.int32], IntArray]:
+) -> tuple[Blobs, Labels, IntArray]:
     """Find the blobs, that of each event (n,), -1 of none, and in how many bins cells are full."""
-    x, y, least = events["x"], events["y"], rules.full_cell_events
-    labels, bins, at_still, n_full = _labelled(x, y, bounds, cells.size_px, cells.still, least)
-    sums = _summed(x, y, bounds, labels, len(bins))
-    kept = sums[:, 0] >= rules.least_blob_events
-    bins, sums, at_still = bins[kept], sums[kept], at_still[kept]
+    labels, bins, at_still, n_full = _labelled(events, bounds, cells, rules.full_cell_events)
+    counts = np.bincount(labels + 1, minlength=len(bins) + 1)[1:]
+    kept = counts >= rules.least_blob_events
+    bins, at_still, n = bins[kept], at_still[kept], counts[kept].astype(np.float64)
     labels = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)[labels]
-    n = sums[:, 0]
-    means = sums[:, 1:3] / n[:, None]
-    spreads = (sums[:, 3] + sums[:, 4]) / n - means[:, 0] ** 2 - means[:, 1] ** 2
-    sizes = np.sqrt(np.maximum(spreads, 0.0))
-    return Blobs(bins, n, means, sizes, sums[:, 5:], at_still), labels, n_full
+    own = np.flatnonzero(labels >= 0)
+    of_blob, places = labels[own], [events[axis][own].astype(np.float64) for axis in ("x", "y")]
+    x, y, squares = (
+        np.bincount(of_blob, one, minlength=len(n)) / n
+        for one in (*places, np.square(places).sum(axis=0))
+    )
+    corners = np.full((len(n), 4), np.inf)
+    corners[:, 2:] = -np.inf
+    for axis, one in enumerate(places):
+        np.minimum.at(corners[:, axis], of_blob, one)
+        np.maximum.at(corners[:, 2 + axis], of_blob, one)
+    sizes = np.sqrt(np.maximum(squares - x**2 - y**2, 0.0))
+    return Blobs(bins, n, np.column_stack([x, y]), sizes, corners, at_still), labels, n_full
+
+
+def _labelled(
+    events: Events, bounds: IntArray, cells: _Cells, full: int
+) -> tuple[Labels, IntArray, Mask, IntArray]:
+    """Label connected clusters of cells with events, bin by bin of time, but for still cells.
+
+    So many events of a cell hold it together with its neighbours: it is full. Gives the cluster of
+    each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether it touches a
+    still cell (k,); and in how many bins each cell (rows, columns) is full.
+    """
+    still, beside = cells.still, np.ones((3, 3), np.bool_)
+    at_still = binary_dilation(still, beside)
+    cell_of_event = (events["y"] // cells.size_px) * np.intp(still.shape[1])
+    cell_of_event += events["x"] // cells.size_px
+    labels, n_full = np.full(len(events), -1, np.int32), np.zeros(still.shape, np.int64)
+    bins: list[int] = []
+    touch: list[bool] = []
+    for b, (first, last) in enumerate(bounds):
+        own = cell_of_event[first:last]
+        is_full = np.bincount(own, minlength=still.size).reshape(still.shape) >= full
+        n_full += is_full
+        is_full &= ~still
+        found = np.zeros(still.shape, np.int32)
+        label(is_full, beside, output=found)
+        n = int(found.max())
+        # Clusters count in the order of their first events; the first one takes the cells beside.
+        of_events = found.flat[own]
+        _, firsts = np.unique(of_events[of_events > 0], return_index=True)
+        order = np.append(n, np.argsort(np.argsort(firsts)))[found]
+        nearest = minimum_filter(order, 3, mode="constant", cval=n)
+        nearest[still | (nearest == n)] = -1 - len(bins)
+        labels[first:last] = nearest.flat[own] + len(bins)
+        touch += (np.bincount(order[is_full], at_still[is_full], minlength=n) > 0).tolist()
+        bins += [b] * n
+    return labels, np.array(bins, np.int64), np.array(touch, np.bool_), n_full
 
 
 def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> IntArray:
@@ -232,13 +272,14 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         near: dict[int, list[_Path]] = {k: [] for k in here}
         inside: dict[int, list[_Path]] = {k: [] for k in here}
         for path in going:
-            step_px = _step_px(blobs.centres_px[path.blobs[-rules.velocity_bins :]])
+            some_px = blobs.centres_px[path.blobs[-rules.velocity_bins :]]
+            step_px = (some_px[-1] - some_px[0]) / max(len(some_px) - 1, 1)
             there_px = blobs.centres_px[path.blobs[-1]] + step_px
             reach_px = rules.reach_px + rules.reach_share * float(np.hypot(*step_px))
             box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
             covered = [k for k in here if _overlap(box_px, blobs.corners_px[k])]
             for k in covered:
-                if _is_within(there_px, blobs.corners_px[k], rules.margin_px):
+                if _overlap(np.tile(there_px, 2), blobs.corners_px[k], rules.margin_px):
                     inside[k].append(path)
             if len(covered) > 1 or not here:  # it comes apart, or is gone
                 continue
@@ -263,20 +304,14 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         still_going = {id(path) for path in followed}
         done += [path for path in going if id(path) not in still_going]
         going = followed
-    return [
-        p.blobs
-        for p in sorted(done + going, key=lambda p: blobs.bins[p.blobs[0]])
-        if not p.is_mixed
-    ]
+    paths = sorted(done + going, key=lambda path: blobs.bins[path.blobs[0]])
+    return [path.blobs for path in paths if not path.is_mixed]
 
 
-def _overlap(one: Array, other: Array) -> bool:
-    return bool(np.all(one[:2] <= other[2:]) and np.all(other[:2] <= one[2:]))
-
-
-def _is_within(point_px: Array, box_px: Array, margin_px: float) -> bool:
-    low_px, high_px = box_px[:2] - margin_px, box_px[2:] + margin_px
-    return bool(np.all((low_px <= point_px) & (point_px <= high_px)))
+def _overlap(one: Array, other: Array, margin_px: float = 0.0) -> bool:
+    """Whether two boxes (4,) have points in common, the second with a margin."""
+    low, high = other[:2] - margin_px, other[2:] + margin_px
+    return bool(np.all(one[:2] <= high) and np.all(low <= one[2:]))
 
 
 def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
@@ -288,96 +323,3 @@ def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
         float(np.median(blobs.sizes_px[chosen])),
         chosen,
     )
-
-
-@numba.njit(cache=True)
-def _labelled(
-    x: Pixels, y: Pixels, bounds: IntArray, cell_px: int, still: Mask, full: int
-) -> tuple[NDArray[np.int32], IntArray, Mask, IntArray]:
-    """Label connected clusters of cells with events, bin by bin of time, but for still cells.
-
-    Bounds (b, 2) are the first event of each bin and the one after its last. So many events of a
-    cell hold it together with its neighbours: it is full. Gives the cluster of each event (n,), -1
-    of none; the bin (k,) of each cluster, ascending, and whether it touches a still cell (k,); and
-    in how many bins each cell (rows, columns) is full.
-    """
-    rows, columns = still.shape
-    labels = np.full(len(x), -1, np.int32)
-    counts, n_full = np.zeros(still.shape, np.int64), np.zeros(still.shape, np.int64)
-    of_cell = np.full(still.shape, -1, np.int64)
-    touched, stack = np.empty(rows * columns, np.int64), np.empty(rows * columns, np.int64)
-    bins, at_still = [np.int64(0) for _ in range(0)], [False for _ in range(0)]
-    for b in range(len(bounds)):
-        n_touched = 0
-        for i in range(bounds[b, 0], bounds[b, 1]):
-            row, column = y[i] // cell_px, x[i] // cell_px
-            if counts[row, column] == 0:
-                touched[n_touched] = row * columns + column
-                n_touched += 1
-            counts[row, column] += 1
-        for cell in touched[:n_touched]:
-            row, column = cell // columns, cell % columns
-            if counts[row, column] < full:
-                continue
-            n_full[row, column] += 1
-            if of_cell[row, column] < 0 and not still[row, column]:
-                at_still.append(_fill(row, column, len(bins), full, counts, of_cell, still, stack))
-                bins.append(np.int64(b))
-        for i in range(bounds[b, 0], bounds[b, 1]):
-            labels[i] = of_cell[y[i] // cell_px, x[i] // cell_px]
-        for cell in touched[:n_touched]:
-            counts[cell // columns, cell % columns] = 0
-            of_cell[cell // columns, cell % columns] = -1
-    return labels, np.array(bins, np.int64), np.array(at_still, np.bool_), n_full
-
-
-@numba.njit(cache=True)
-def _summed(
-    x: Pixels, y: Pixels, bounds: IntArray, labels: NDArray[np.int32], n_labels: int
-) -> Array:
-    """Sum up the events of each label (k, 9): number, x, y, x^2, y^2, least x, y, largest x, y."""
-    sums = np.zeros((n_labels, 9))
-    sums[:, 5:7], sums[:, 7:] = np.inf, -np.inf
-    for b in range(len(bounds)):
-        for i in range(bounds[b, 0], bounds[b, 1]):
-            if labels[i] < 0:
-                continue
-            own, u, v = sums[labels[i]], float(x[i]), float(y[i])
-            own[0], own[1], own[2] = own[0] + 1.0, own[1] + u, own[2] + v
-            own[3], own[4] = own[3] + u * u, own[4] + v * v
-            own[5], own[6] = min(own[5], u), min(own[6], v)
-            own[7], own[8] = max(own[7], u), max(own[8], v)
-    return sums
-
-
-@numba.njit(cache=True)
-def _fill(
-    row: int,
-    column: int,
-    label: int,
-    full: int,
-    counts: IntArray,
-    of_cell: IntArray,
-    still: Mask,
-    stack: IntArray,
-) -> bool:
-    """Label a full cell and all that hangs together with it; say if any is beside a still one."""
-    rows, columns = counts.shape
-    of_cell[row, column] = label
-    stack[0] = row * columns + column
-    n, touches = 1, False
-    while n > 0:
-        n -= 1
-        row, column = stack[n] // columns, stack[n] % columns
-        for i in range(max(row - 1, 0), min(row + 2, rows)):
-            for j in range(max(column - 1, 0), min(column + 2, columns)):
-                if still[i, j]:
-                    touches = True
-                    continue
-                if counts[i, j] == 0 or of_cell[i, j] >= 0:
-                    continue
-                of_cell[i, j] = label
-                if counts[i, j] >= full:
-                    stack[n] = i * columns + j
-                    n += 1
-    return touches

@@ -13,7 +13,9 @@ says why.
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ssac.arrays import Array, Indices, IntArray, Mask
@@ -22,13 +24,6 @@ from ssac.geometry.pose import Pencil
 from ssac.rules import OutlineRules
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
-from ssac.track.outline_kernels import (
-    above_limit,
-    angles_from_course,
-    highest_in_blocks,
-    local_parabolas,
-    ranked_in_windows,
-)
 
 OutlineConfig = OutlineRules
 
@@ -60,21 +55,24 @@ def near_outline(
 
     These few are all that `tangents` needs, also for a pencil and times a little different.
     """
-    course = _Course.of(motion, pencil, times_s, config.centred)
+    course = _Course.of(motion, pencil, times_s, config)
     blocks = _Blocks.of(motion.times_us, times_s, config)
     points_px = np.diff(motion.position_sums_px, axis=0)
     values = blocks.angles(points_px, course.angles_rad, pencil)
     kept = []
     for side in (1.0, -1.0):
-        rough = blocks.extremes(values, side, config.rough_half_window_s, course.valid, config)
-        rough_rad = _within(rough.angles_rad, config.max_angle_rad)
+        window_s = config.rough_half_window_s
+        found_rad, _, _ = blocks.extremes(values, side, window_s, course.valid, config)
+        rough_rad = _within(found_rad, config.max_angle_rad)
         lowest_rad = _filled(times_s, rough_rad) - config.rough_margin_px * course.rad_per_px
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
         events = OutlineEvents(
             motion.times_us.take(chosen),
             points_px.take(chosen, axis=0),  # several times as fast as `points_px[chosen]`
             motion.border_sums.take(chosen + 1) > motion.border_sums.take(chosen),
-            course.smoothed(rough_rad, config) if config.passes else np.zeros(len(times_s)),
+            _filled(times_s, course.smoothed(rough_rad, config)[0])
+            if config.passes
+            else np.zeros(len(times_s)),
         )
         for _ in range(config.passes - 1):
             events = _followed(side, events, course, pencil, config)
@@ -91,11 +89,10 @@ def tangents(
 ) -> list[Tangents]:
     """Find the upper and the lower tangent of the object's outline, that of greater angle first.
 
-    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock; `near` is of as many. A
-    tangent is invalid where the track is, when the event that gives it is on the border, or close
-    to the epipole.
+    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock. A tangent is invalid where
+    the track is, when the event that gives it is on the border, or close to the epipole.
     """
-    course = _Course.of(motion, pencil, times_s, config.centred)
+    course = _Course.of(motion, pencil, times_s, config)
     return [
         _tangent(side, events, course, pencil, config)
         for side, events in zip((1.0, -1.0), near, strict=True)
@@ -112,14 +109,9 @@ class _Course:
     velocities_px_s: Array  # (n, 2) of the track; zero where it is unknown
     valid: Mask  # (n,)
 
-    def smoothed(self, angles_rad: Array, config: OutlineConfig) -> Array:
-        """Smooth the angles (n,) of a tangent, and interpolate where they are NaN."""
-        smooth, _ = local_parabolas(angles_rad, self.reach(config))
-        return _filled(self.times_s, smooth)
-
-    def reach(self, config: OutlineConfig) -> int:
-        """Sample steps to each side of a parabola: two at least, however short it is to be."""
-        return max(self.steps(config.smoothing_s), 2)
+    def smoothed(self, angles_rad: Array, config: OutlineConfig) -> tuple[Array, Array]:
+        """Smooth the angles (n,) of a tangent, two steps or more to each side; and their slopes."""
+        return local_parabolas(angles_rad, max(self.steps(config.smoothing_s), 2))
 
     def steps(self, duration_s: float) -> int:
         """Sample steps in a duration."""
@@ -128,9 +120,9 @@ class _Course:
 
     @staticmethod
     def of(
-        motion: ObjectMotion, pencil: Pencil, times_s: Array, centred: bool = False
+        motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineConfig
     ) -> "_Course":
-        track = motion.centred_at(times_s) if centred else motion.at(times_s)
+        track = motion.centred_at(times_s) if config.centred else motion.at(times_s)
         points_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         angles = np.full(len(times_s), np.nan)
         angles[track.valid] = np.unwrap(pencil.angles(points_px[track.valid]))
@@ -143,13 +135,9 @@ class _Course:
         )
 
 
-@dataclass(frozen=True)
-class _Extremes:
-    """How far up the outline reaches in a window about each of n times."""
-
-    angles_rad: Array  # (n,) from the course; NaN without enough events
-    gaps_rad: Array  # (n,) between the two ranks
-    indices: Indices  # (n,) of the event of the first rank
+_Extremes = tuple[Array, Array, Indices]
+"""How far up the outline reaches in a window about each of n times: angles (n,) [rad] from the
+course, NaN without enough events; gaps (n,) between the two ranks; the first rank's events (n,)."""
 
 
 @dataclass(frozen=True)
@@ -187,8 +175,8 @@ class _Blocks:
     ) -> _Extremes:
         """Find how far up the outline reaches in the windows about the usable samples.
 
-        Not to the very highest value, which may be noise. Any rank lies inside the outline, the
-        more so the fewer events there are near it; the gap to a deeper rank tells how much.
+        The very highest value may be noise. Any rank lies inside the outline, the more so the fewer
+        events there are near it; the gap to a deeper rank tells how much.
         """
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
@@ -198,7 +186,7 @@ class _Blocks:
         )
         ranked = np.arctan(ranked)
         gaps = ranked[:, 0] - ranked[:, 1]
-        return _Extremes(ranked[:, 0] + config.outward * gaps, gaps, indices)
+        return ranked[:, 0] + config.outward * gaps, gaps, indices
 
 
 def _ranked(
@@ -216,17 +204,17 @@ def _followed(
     side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
 ) -> OutlineEvents:
     """Follow a tangent more closely, and keep the events that can then be of one of the ranks."""
-    blocks, values, extremes = _ranked(side, events, course, pencil, config)
-    deeper_rad = extremes.angles_rad - (1.0 + config.outward) * extremes.gaps_rad
+    blocks, values, (found_rad, gaps_rad, _) = _ranked(side, events, course, pencil, config)
+    deeper_rad = found_rad - (1.0 + config.outward) * gaps_rad
     lowest_rad = _filled(course.times_s, deeper_rad) - config.margin_px * course.rad_per_px
     lowest_rad = minimum_filter1d(lowest_rad, 2 * course.steps(config.half_window_s) + 1)
     chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
-    angles_rad = _within(events.course_rad + extremes.angles_rad, config.max_angle_rad)
+    angles_rad = _within(events.course_rad + found_rad, config.max_angle_rad)
     return OutlineEvents(
         events.times_us.take(chosen),
         events.points_px.take(chosen, axis=0),
         events.on_border.take(chosen),
-        course.smoothed(angles_rad, config),
+        _filled(course.times_s, course.smoothed(angles_rad, config)[0]),
     )
 
 
@@ -238,17 +226,19 @@ def _tangent(
     if len(events.times_us) == 0:
         nothing = np.full((n, 2), np.nan)
         return Tangents(nothing, nothing, nothing[:, 0], np.zeros(n, np.bool_))
-    _, _, extremes = _ranked(side, events, course, pencil, config)
-    angles_rad = _within(events.course_rad + extremes.angles_rad, config.max_angle_rad)
+    _, _, (found_rad, gaps_rad, at) = _ranked(side, events, course, pencil, config)
+    angles_rad = _within(events.course_rad + found_rad, config.max_angle_rad)
     tangent_rad = course.angles_rad + side * angles_rad
-    _, slopes = local_parabolas(tangent_rad, course.reach(config))
+    _, slopes = course.smoothed(tangent_rad, config)
 
     # Along the line, the event and the track's velocity say well enough where it touches.
-    ages_s = 1e-6 * events.times_us[extremes.indices] - times_s
-    points = events.points_px[extremes.indices] - ages_s[:, None] * course.velocities_px_s
+    ages_s = 1e-6 * events.times_us[at] - times_s
+    points = events.points_px[at] - ages_s[:, None] * course.velocities_px_s
     gradients = pencil.gradients(points)
     across = gradients / np.sum(gradients**2, axis=1)[:, None]  # [px/rad]
-    shifts = _wrapped(tangent_rad - pencil.angles(points))[:, None] * across
+    turn_rad = tangent_rad - pencil.angles(points)
+    turn_rad -= 2.0 * np.pi * np.rint(turn_rad / (2.0 * np.pi))
+    shifts = turn_rad[:, None] * across
     valid = np.isfinite(slopes) & (np.linalg.norm(shifts, axis=1) < config.max_shift_px)
     # A pixel makes its first event when it is partly covered, and its last when nearly left.
     velocities = (slopes / (times_s[1] - times_s[0]))[:, None] * across
@@ -256,8 +246,8 @@ def _tangent(
     return Tangents(
         points + shifts + config.ahead_px * velocities / speeds,
         velocities,
-        extremes.gaps_rad * np.linalg.norm(across, axis=1),
-        valid & ~events.on_border[extremes.indices],
+        gaps_rad * np.linalg.norm(across, axis=1),
+        valid & ~events.on_border[at],
     )
 
 
@@ -273,6 +263,155 @@ def _filled(times_s: Array, values: Array) -> Array:
     return np.asarray(np.interp(times_s, times_s[known], values[known]))
 
 
-def _wrapped(angles: Array) -> Array:
-    """Bring angles [rad] to -pi to pi."""
-    return np.asarray(angles - 2.0 * np.pi * np.rint(angles / (2.0 * np.pi)))
+_TIE = 1e-12
+"""Differences of tangents that rounding may make, as a row of pixels may be an epipolar line: the
+earlier event then counts as the higher."""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def angles_from_course(
+    times_us: IntArray,
+    points_px: Array,
+    bounds: Indices,
+    edges_us: Array,
+    course: Array,
+    sine: Array,
+    cosine: Array,
+) -> Array:
+    """Tangents (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
+
+    The events of block i are those from bounds[i] (b + 1,) up to bounds[i + 1]; the values of
+    events in no block are not set. The course (b + 1,) [rad] is that at the blocks' edges, between
+    which its direction is interpolated; sine and cosine (3,) are the pencil's.
+    """
+    out = np.empty(len(times_us))
+    s0, s1, s2 = sine[0], sine[1], sine[2]
+    c0, c1, c2 = cosine[0], cosine[1], cosine[2]
+    for i in range(len(bounds) - 1):
+        own = slice(bounds[i], bounds[i + 1])
+        points, ages_us, found = points_px[own], times_us[own] - edges_us[i], out[own]
+        length_us = edges_us[i + 1] - edges_us[i]
+        sin_start, cos_start = np.sin(course[i]), np.cos(course[i])
+        sin_slope = (np.sin(course[i + 1]) - sin_start) / length_us
+        cos_slope = (np.cos(course[i + 1]) - cos_start) / length_us
+        # Nothing but numbers of its own in the loop: it is compiled to vector instructions.
+        for k in range(len(ages_us)):
+            s = s0 * points[k, 0] + s1 * points[k, 1] + s2
+            c = c0 * points[k, 0] + c1 * points[k, 1] + c2
+            course_s = sin_start + ages_us[k] * sin_slope
+            course_c = cos_start + ages_us[k] * cos_slope
+            ahead = s * course_s + c * course_c
+            tangent = (s * course_c - c * course_s) / ahead
+            found[k] = tangent if ahead > 0.0 else np.nan  # beyond 90 deg
+    return out
+
+
+@numba.njit(cache=True)
+def highest_in_blocks(
+    values: Array, bounds: Indices, side: float, depth: int
+) -> tuple[Array, Indices]:
+    """Highest of side * values in each of b blocks, descending: values and indices (b, depth).
+
+    Minus infinity where a block has fewer. NaN is never among them.
+    """
+    n = len(bounds) - 1
+    tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
+    for i in range(n):
+        least = -np.inf
+        for k in range(bounds[i], bounds[i + 1]):
+            if side * values[k] > least:
+                _insert(side * values[k], k, tops[i], at[i])
+                least = tops[i, depth - 1] + _TIE
+    return tops, at
+
+
+@numba.njit(cache=True)
+def ranked_in_windows(
+    tops: Array,
+    at: Indices,
+    firsts: Indices,
+    length: int,
+    usable: Mask,
+    rank: int,
+    deeper_rank: int,
+) -> tuple[Array, Indices]:
+    """Values (n, 2) of two ranks in windows of `length` blocks, and the index of the first's event.
+
+    NaN and 0 where a window is not usable or has fewer events.
+    """
+    n = len(firsts)
+    ranked, indices = np.full((n, 2), np.nan), np.zeros(n, np.intp)
+    top, top_at = np.empty(deeper_rank + 1), np.empty(deeper_rank + 1, np.intp)
+    for i in range(n):
+        if not usable[i]:
+            continue
+        top[:] = -np.inf
+        for block in range(firsts[i], firsts[i] + length):
+            for j in range(tops.shape[1]):
+                if not tops[block, j] > top[deeper_rank] + _TIE:
+                    break
+                _insert(tops[block, j], at[block, j], top, top_at)
+        if top[deeper_rank] > -np.inf:
+            ranked[i, 0], ranked[i, 1], indices[i] = top[rank], top[deeper_rank], top_at[rank]
+    return ranked, indices
+
+
+@numba.njit(cache=True)
+def _insert(value: float, index: int, top: Array, at: Indices) -> None:
+    """Put a value in its place among the descending ones; the last is lost."""
+    j = len(top) - 1
+    while j > 0 and top[j - 1] < value - _TIE:
+        top[j], at[j] = top[j - 1], at[j - 1]
+        j -= 1
+    top[j], at[j] = value, index
+
+
+@numba.njit(cache=True)
+def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.int32]:
+    """Pick the events whose side * value is above the lower of the limits at their block's ends."""
+    found = np.empty(len(values) + 1, np.int32)
+    n = 0
+    for i in range(len(bounds) - 1):
+        limit = min(limits[i], limits[i + 1])
+        for k in range(bounds[i], bounds[i + 1]):
+            found[np.uint32(n)] = k  # and written over, where it is not above: nothing to foresee
+            n += side * values[k] > limit
+    return found[:n].copy()
+
+
+@numba.njit(cache=True)
+def local_parabolas(values: Array, reach: int) -> tuple[Array, Array]:
+    """Value and slope per step (n,) of parabolas fitted about each of n even samples.
+
+    By tricube weights over `reach` samples on each side; NaN, where the sample is itself or fewer
+    than half of those around it are known.
+    """
+    n = len(values)
+    smooth, slopes = np.full(n, np.nan), np.full(n, np.nan)
+    for i in range(n):
+        if np.isnan(values[i]):
+            continue
+        known = 0
+        moments, sums = np.zeros(5), np.zeros(3)
+        for j in range(max(i - reach, 0), min(i + reach + 1, n)):
+            if np.isnan(values[j]):
+                continue
+            known += 1
+            lag = (j - i) / (reach + 1.0)
+            term = (1.0 - abs(lag) ** 3) ** 3
+            for power in range(5):
+                moments[power] += term
+                if power < 3:
+                    sums[power] += term * (values[j] - values[i])
+                term *= lag
+        if known < reach + 1:
+            continue
+        m0, m1, m2, m3, m4 = moments
+        # Cofactors of the symmetric matrix of moments.
+        c00, c01, c02 = m2 * m4 - m3 * m3, m2 * m3 - m1 * m4, m1 * m3 - m2 * m2
+        c11, c12 = m0 * m4 - m2 * m2, m1 * m2 - m0 * m3
+        determinant = m0 * c00 + m1 * c01 + m2 * c02
+        smooth[i] = values[i] + (c00 * sums[0] + c01 * sums[1] + c02 * sums[2]) / determinant
+        slope = (c01 * sums[0] + c11 * sums[1] + c12 * sums[2]) / determinant
+        slopes[i] = slope / (reach + 1.0)
+    return smooth, slopes

@@ -1,14 +1,10 @@
 """The silhouette of the object: the centre and the shape of its image, from one camera's events.
 
-The mean of the events strays over the object as it turns: how many events a part makes depends on
-its edges and on which way they move. The centre of the image's area does so far less. Events tell
-the image itself: what is darker or brighter than what the pixel shows when it is bare.
-
-A pixel makes an event whenever its brightness has changed by a threshold. Counted up, its events
-say how many thresholds it is off what it shows when nothing is before it: its level. At the instant
-of an event the level is a whole number; in between it is interpolated. Boxes (n, 4) [least x,
-largest x, least y, largest y], ends included, hold all of the object at n times; a pixel that is
-out of the box is at rest.
+The mean of the events strays over the object as it turns, the centre of the image's area far less.
+Counted up, a pixel's events say how many thresholds it is off what it shows when nothing is before
+it: its level. At the instant of an event it is a whole number, interpolated in between. Boxes
+(n, 4) [least x, largest x, least y, largest y], ends included, hold all of the object at n times; a
+pixel that is out of the box is at rest.
 """
 
 from dataclasses import dataclass
@@ -68,13 +64,12 @@ def silhouettes(
 ) -> Silhouettes | None:
     """Find the object's silhouettes; None where it is too small, or the events do not tell.
 
-    Events are all that the camera recorded: denoised ones count wrong. The track (n,) is by the
-    mean of the events, undistorted, with the root mean square radius of the image at each point.
+    Events are all that the camera recorded: denoised ones count wrong. The track (n,) is of their
+    mean, undistorted; sizes are root mean square radii of the image.
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
-    # Whole microseconds, as events have, and places without rounding errors: what follows is then
-    # the same to the last bit where the camera's clock shows more.
+    # Whole microseconds, places without rounding errors: a clock that shows more changes no bit.
     times_us = np.rint(1e6 * times_s).astype(np.int64)
     where_px, sizes_px = np.round(distort_points(camera, points_px), 4), np.round(sizes_px, 4)
     samples_us, boxes, own = _boxes(times_us, where_px, sizes_px, camera, rules)
@@ -132,12 +127,10 @@ def _linked_levels(
 ) -> tuple[Levels, Levels, Levels, int, int]:
     """Give each event's level, positive where darker, and the events before and after it.
 
-    A pixel is not quite back when it is bare again: up to a threshold short of it, so that the
-    level at rest is 1 after darkness and -1 after light.
-
-    Gives (m,) levels just after the events; the events of the pixel, while it was in the box,
-    before and after each, `NONE` without. Then how often a pixel came to rest, and how often it did
-    so within a threshold of where it had been.
+    The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short of
+    being back. Gives (m,) levels just after the events; the events of the pixel, while it was in
+    the box, before and after each, `NONE` without; how often a pixel came to rest, and how often it
+    did so within a threshold of where it had been.
     """
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
@@ -195,9 +188,9 @@ def _image_sums(
 ) -> Array:
     """Sum up the images of the object at n samples, by what `_linked_levels` gave.
 
-    In a ramp (n,) an edge changes a level by one, at most. The level of a pixel that is covered all
-    over, and its log contrast, are the two numbers by which a level tells the share. Corners (n, 2)
-    are column and row of each image's first pixel; images (n, w, w) are written in place.
+    In a ramp (n,) [us] an edge changes a level by one. The share is told by the level of a pixel
+    covered all over, and its log contrast. Corners (n, 2) are column and row of each image's first
+    pixel; images (n, w, w) are written in place.
 
     Gives (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
     pixels of the box were never seen bare, and how many covered ones are on the border.
@@ -290,8 +283,7 @@ def _level_at(
 ) -> float:
     """Give a pixel's level, without sign, between its event a and its next, b; either may be none.
 
-    A pixel of level 1 is one that the object left, unless the next event is near: there the level
-    fades as fast as it did before, and comes as fast as it goes on.
+    Level 1 is left, unless the next event is near: it fades and comes as fast as before and after.
     """
     fading, coming = 0.0, 0.0
     if a != NONE:
@@ -304,9 +296,8 @@ def _level_at(
             if not was_left:
                 done = ago_us / max(lasting_us, 1.0)
                 if grows == shrank:  # it turns in between, and stays as it was until near b
-                    done = max(
-                        0.0, 1.0 - (lasting_us - ago_us) / max(min(ramp_us, lasting_us), 1.0)
-                    )
+                    coming_us = max(min(ramp_us, lasting_us), 1.0)
+                    done = max(0.0, 1.0 - (lasting_us - ago_us) / coming_us)
                 return abs(level_a + (level_b - level_a) * done)
         elif abs(level_a) > 1.0:
             return abs(level_a)

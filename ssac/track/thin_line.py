@@ -1,9 +1,8 @@
 """The events of a thin line that holds the object: a thread, a wire, a rod.
 
-The part of such a line that is next to the object is seen with it: so near, denoising does not tell
-the two apart, and where that part ends is nothing that two cameras share. Further out the line is
-removed as noise, and there it is told from noise with ease: it starts at the object, goes with it,
-and goes on in one direction. A part of the object itself, as an antenna or a leg, ends.
+Next to the object denoising does not tell such a line from it, and where that part ends is nothing
+that two cameras share. Further out the line is removed as noise, and there it is found with ease:
+it starts at the object, goes with it and on in one direction. An antenna or a leg ends.
 """
 
 from dataclasses import dataclass
@@ -43,9 +42,8 @@ def events_on_line(
 ) -> Mask | None:
     """Find the events of a thin line that goes from the object on, far beyond it.
 
-    Tells which of the n events that denoising left of all lie where such a line is, the object's
-    own there among them; both are sorted by time. None, unless there is one in much of the
-    recording, on one side of the object.
+    Tells which of the n events that denoising left of all lie where such a line is; both are sorted
+    by time. None, unless there is one in much of the recording, on one side of the object.
     """
     if len(kept) < rules.min_events:
         return None
@@ -93,14 +91,12 @@ def _window(
     """Look at the object about a time; None where too little of it is seen."""
     edges_us = middle_us + rules.half_window_us * np.array([-1, 0, 1])
     first, middle, last = first_from(kept["t"], edges_us)
-    if last - first < rules.min_events:
-        return None
-    if min(middle - first, last - middle) < rules.min_half_events:
+    halves = middle - first, last - middle
+    if sum(halves) < rules.min_events or min(halves) < rules.min_half_events:
         return None
     centre, velocity, squares_px2 = np.empty(2), np.empty(2), np.zeros(last - first)
     ages_us = kept["t"][first:last] - middle_us
-    for axis, name in enumerate(("x", "y")):
-        pixels = kept[name]
+    for axis, pixels in enumerate((kept["x"], kept["y"])):
         shift_px = np.median(pixels[middle:last]) - np.median(pixels[first:middle])
         velocity[axis] = shift_px / rules.half_window_us
         places = pixels[first:last] - ages_us * velocity[axis]
@@ -168,8 +164,7 @@ def _fitted(window: _Window, angle_rad: float, offset_px: float, rules: LineRule
     direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
     ends_px = np.where(direction > 0.0, np.array(window.size_px) - 1.0, 0.0) - window.centre_px
     room_px = float(np.min(ends_px / np.where(direction == 0.0, 1e-9, direction)))
-    end_px = room_px - rules.border_px  # to the border of the view
-    end_px = min(window.start_px + rules.length_px, end_px)
+    end_px = min(window.start_px + rules.length_px, room_px - rules.border_px)
     if end_px - window.start_px < rules.min_length_px:
         return _Line(angle_rad, offset_px, has_room=False)
     within = (along > window.start_px) & (along < end_px)

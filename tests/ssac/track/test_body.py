@@ -118,11 +118,10 @@ def slowly_turning() -> Rotation:
 
 
 def test_second_moments_are_those_of_the_object() -> None:
-    turns = slowly_turning()
+    turns, flat = slowly_turning(), 0.01 * np.cov(plate().T, bias=True)
     views = [seen_by(angle_deg, turns, 0.1)[0] for angle_deg in ANGLES_DEG]
     assert np.isnan(second_moments(views[:2], 1.0)).all()  # two views have one in common
     found = second_moments(views, 1.0)
-    flat = 0.01 * np.cov(plate().T, bias=True)
     true = turns.as_matrix() @ flat @ turns.as_matrix().transpose(0, 2, 1)
     # Perspective's own share is the size over the distance, 1 %, and smoothing's at the ends.
     assert found[2:-2] == pytest.approx(true[2:-2], abs=0.03 * np.trace(flat))

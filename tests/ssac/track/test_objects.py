@@ -28,9 +28,7 @@ def test_one_thing_seems_one(size_m):
 
 def test_the_parts_of_a_large_thing_are_one():
     events = make_events(make_scene(6, duration_s=8.0), 6, size_m=1.6)[1]
-    assert seem_several(
-        events, CAMERA, RULES
-    )  # points of a cloud of 64 px and more do not hang together
+    assert seem_several(events, CAMERA, RULES)  # points of a cloud of 64 px do not hang together
     assert not objects_of(events, CAMERA, RULES).are_several
 
 

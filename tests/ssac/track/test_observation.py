@@ -19,6 +19,7 @@ from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_scene
 
 HOW = Config().cleaning
 WINDOWS = Config().windows
+TRACK = PointTrack(0.1 * np.arange(10), np.ones((10, 2)))
 RADTAN = Camera(K, WIDTH, HEIGHT, "radtan", (-0.3, 0.1, 0.001, -0.001))
 
 
@@ -55,7 +56,7 @@ def test_rules_of_a_config_are_obeyed(raw, cleaned):
     for rule, value in (("ball_px", 4.0), ("ball_neighbours", 25), ("noisy_hz", -1.0)):
         rules = replace(Rules(), noise=replace(Rules().noise, **{rule: value}))
         assert clean(raw, CAMERA, Config(rules=rules).cleaning).clutter != cleaned.clutter
-    points = clean(tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))), CAMERA, HOW)
+    points = clean(tracked(TRACK), CAMERA, HOW)
     longer = replace(Rules(), points=replace(Rules().points, window_intervals=4.0))
     windows = [Config(rules=rules).windows for rules in (Rules(), longer)]
     assert [motion_of(points, one).half_window_s for one in windows] == pytest.approx([0.26, 0.4])
@@ -66,7 +67,7 @@ def test_what_is_clean_is_not_cleaned_again(cleaned):
     # Equal cameras need not be one object, and noise that has been removed does not come back.
     same = Camera(K.copy(), WIDTH, HEIGHT)
     assert clean(cleaned, same, Cleaning(False, 7)) is cleaned
-    track = clean(tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))), CAMERA, HOW)
+    track = clean(tracked(TRACK), CAMERA, HOW)
     assert track.denoised
     assert clean(track, CAMERA, HOW) is track
 
@@ -134,7 +135,7 @@ def test_a_delay_moves_gaps_and_tracks(cleaned):
     gaps_us = np.array([[1_000_000, 2_000_000]])
     assert np.array_equal(replace(cleaned, gaps_us=gaps_us).delayed(0.25).gaps_us - gaps_us,
                           [[250_000, 250_000]])  # fmt: skip
-    late = tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))).delayed(0.25)
+    late = tracked(TRACK).delayed(0.25)
     assert late.track.times_s == pytest.approx(0.1 * np.arange(10) + 0.25, abs=1e-12)
     assert late.span_s == pytest.approx((0.25, 1.15), abs=1e-12)
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.camera import Camera
 from ssac.config import Cleaning, Config
 from ssac.events import events_from_arrays
 from ssac.rules import LineRules, NoiseRules
@@ -15,12 +14,10 @@ from ssac.track.motion import motion_of
 from ssac.track.observation import Observation
 from ssac.track.thin_line import events_on_line
 from tests.ssac.cluttered import merged, noise
+from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH
 
-WIDTH, HEIGHT, DURATION_S = 346, 260, 3.0
+DURATION_S = 3.0
 RADIUS_PX = 10.0  # of the object, a disc
-CAMERA = Camera(
-    np.array([[300.0, 0.0, 173.0], [0.0, 300.0, 130.0], [0.0, 0.0, 1.0]]), WIDTH, HEIGHT
-)
 NOISE = noise(WIDTH, HEIGHT, 0.5, round(1e6 * DURATION_S))
 
 
@@ -44,10 +41,8 @@ def disc(seed=0, rate_hz=25_000):
     """Events of the object."""
     rng = np.random.default_rng((seed, 1))
     times_s = np.sort(rng.uniform(0.0, DURATION_S, round(rate_hz * DURATION_S)))
-    away, around = (
-        RADIUS_PX * np.sqrt(rng.random(len(times_s))),
-        rng.uniform(0.0, 2.0 * np.pi, len(times_s)),
-    )
+    away = RADIUS_PX * np.sqrt(rng.random(len(times_s)))
+    around = rng.uniform(0.0, 2.0 * np.pi, len(times_s))
     turned = np.column_stack([np.cos(around), np.sin(around)])
     return drawn(times_s, centres_px(times_s) + away[:, None] * turned)
 
