@@ -27,7 +27,6 @@ FILES = (
     "real",
     "figures",
     "bench",
-    "reliability",
 )
 """In the order in which they are listed and checked."""
 
