@@ -28,7 +28,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
-from experiments.studies.imperfect import ImperfectRow, given_columns, held
+from experiments.studies.imperfect import ImperfectRow, given_columns, held_shares
 from experiments.worlds.odd import KINDS, SHORT_S, WRONG_RIG, OddCell, drawn, recorded, truth_of
 from ssac.arrays import Array, Mask
 from ssac.camera import with_deviations
@@ -205,17 +205,10 @@ def _numbers(runs: pd.DataFrame, column: str) -> Array:
 def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up by kind what the default says, and what settings by hand would.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row for all recordings, for those whose rig is as it says, for those under `SHORT_S`,
-        and for each kind: `recordings`; `answered`, those with an offset, and `posed`, with a pose
-        too. Each is one of `wrong`, `settled`, where a setting is right and gives more, be it an
-        offset or a pose, `right`, and refused by all. Of t_d, R and t how many are given, and the
-        share whose interval or region of 95 % holds the truth; `beyond`, with one of them over
-        `MAX_SIGMAS` deviations off, and `worst`, the number of the recording that is farthest off
-        and by how many; `refused`, the statuses of those without an offset, and `settings`, which
-        are right where these are `settled`, with their counts; median and largest `cpu_s`.
+    Each recording is one of `wrong`, `settled`, where a setting is right and gives more, be it an
+    offset or a pose, `right`, and refused by all; `settings` are those that are right, with counts.
+    `beyond` are over `MAX_SIGMAS` deviations off, and `worst` is the recording that is farthest
+    off, and by how many.
     """
     runs = runs.assign(is_right=right(runs), is_beyond=np.any(list(beyond(runs).values()), axis=0))
     runs["gives"] = runs["offset_given"].astype(int) + runs["pose_given"].astype(int)
@@ -249,24 +242,25 @@ def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
 
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
-    counts, _ = held(default, HELD)
+    shares, _ = held_shares(default, HELD)
     row: dict[str, Any] = {
         "recordings": len(default),
         "answered": int(given.sum()),
         "posed": int(default["pose_given"].astype(bool).sum()),
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
     }
-    for name in HELD:
-        n_given = row[f"{name}_given"] = counts[f"{name}_given"]
-        row[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
-    return row | {
-        "beyond": int(default["is_beyond"].sum()),
-        "worst": _worst(default),
-        "refused": _listed(default["status"][~given]),
-        "settings": _listed(default["settings"].explode()),
-        "cpu_s_median": default["cpu_s"].median(),
-        "cpu_s_most": default["cpu_s"].max(),
-    }
+    return (
+        row
+        | shares
+        | {
+            "beyond": int(default["is_beyond"].sum()),
+            "worst": _worst(default),
+            "refused": _listed(default["status"][~given]),
+            "settings": _listed(default["settings"].explode()),
+            "cpu_s_median": default["cpu_s"].median(),
+            "cpu_s_most": default["cpu_s"].max(),
+        }
+    )
 
 
 def _worst(default: pd.DataFrame) -> str:

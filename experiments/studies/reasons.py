@@ -58,29 +58,17 @@ nothing where the advice changes nothing of what is wrong with it."""
 
 def _filmed(**fields: Any) -> Follow:
     """Film again, with some of the cause's fields changed."""
-
-    def follow(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
-        return [scene.changed(**fields).made()]
-
-    return follow
+    return lambda scene, case, estimate: [scene.changed(**fields).made()]
 
 
 def _mended(phrase: str) -> Follow:
     """Film again without what spoilt the recording, if that is what the advice is about."""
-
-    def follow(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
-        return [scene.plain()] if scene.cause.mended_by == phrase else []
-
-    return follow
+    return lambda scene, *_: [scene.plain()] if scene.cause.mended_by == phrase else []
 
 
 def _asked(**fields: Any) -> Follow:
     """Ask again, with some options changed."""
-
-    def follow(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
-        return [replace(case, config=replace(case.config, **fields))]
-
-    return follow
+    return lambda scene, case, estimate: [replace(case, config=replace(case.config, **fields))]
 
 
 def _longer(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:

@@ -21,14 +21,8 @@ from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import by_group, made_of
 from experiments.paper.grids import ANGLES_DEG
-from experiments.worlds.open_flights import (
-    FLIGHT_OF,
-    KINDS_OF_FLIGHT,
-    OpenCase,
-    flight_config,
-    flight_of,
-    open_case,
-)
+from experiments.worlds import open_flights
+from experiments.worlds.open_flights import KINDS_OF_FLIGHT, OpenCase, flight_config
 from experiments.worlds.spoilt import KindCell, kind_cells
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
@@ -76,7 +70,9 @@ def refusal_cells() -> list[KindCell]:
 def load_kinds(cells: Sequence[KindCell], cache: Cache) -> Flown:
     """Name the flight, and the other one."""
     first = cells[0]
-    load = partial(flight_of, FLIGHT_OF[first.kind], first.sim, cache=cache)
+    load = partial(
+        open_flights.flight_of, open_flights.FLIGHT_OF[first.kind], first.sim, cache=cache
+    )
     return Flown(load, first.seed, first.other_seed)
 
 
@@ -84,7 +80,7 @@ def refusal_row(cell: KindCell, flown: Flown) -> RefusalRow:
     """Run one method on one kind, and judge what it says."""
 
     def make() -> tuple[OpenCase, Chain]:
-        case = open_case(cell.kind, flown.flight, lambda: flown.other)
+        case = open_flights.open_case(cell.kind, flown.flight, lambda: flown.other)
         return case, Chain((case.cam1, case.cam2), case.rig, case.config)
 
     case, chain = flown.made(cell.kind, make)
@@ -140,11 +136,6 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     return by_group(runs, ("kind", "method"), row)
 
 
-def recordings(results: Results) -> str:
-    """Count the recordings."""
-    return str(len(results.rows("refusal_runs", method="joint")))
-
-
 def wrong(results: Results, method: str) -> str:
     """Count the confident wrong answers of one method."""
     return f"{results.column('refusal', 'confident_wrong', method=method).sum():.0f}"
@@ -165,7 +156,7 @@ STUDIES = (
         Runs("refusal_runs.csv", ("kind", "flight", "method")),
         (made_of("refusal.csv", refusal_table, "refusal_runs"),),
         numbers={
-            "refusal.recordings": recordings,
+            "refusal.recordings": lambda of: str(len(of.rows("refusal_runs", method="joint"))),
             "refusal.ordinary": ordinary_answered,
             **{f"refusal.wrong.{m}": partial(wrong, method=m) for m in METHOD_NAMES},
         },
