@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -123,19 +124,17 @@ def hand_cells(
     drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
     return [
         HandCell(one, setting, every and setting != UNASKED)
-        for one in drawn_ones
-        if kind in ("", one.kind)
+        for one in drawn_ones if kind in ("", one.kind)
         for setting in SETTINGS
-    ]
+    ]  # fmt: skip
 
 
 @dataclass
 class Tried:
-    """A recording, and what the default says of it, which is found once."""
+    """A recording, and what settings say of it."""
 
     chain: Chain
     truth: Truth
-    default: HandRow | None = None
 
     def said(self, setting: Setting) -> HandRow:
         """Run a setting, and score what it says."""
@@ -147,18 +146,14 @@ class Tried:
         start_s = time.process_time()
         estimate = chain.under(setting.config).estimate(setting.method)
         cpu_s = time.process_time() - start_s
-        return HandRow(
-            **given_columns(estimate, self.truth) | {"t_d_estimate_ms": 1e3 * estimate.t_d_s},
-            n_events_cam1=chain.clean(0).n_recorded,
-            n_events_cam2=chain.clean(1).n_recorded,
-            cpu_s=cpu_s,
-        )
+        n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+        columns = given_columns(estimate, self.truth) | {"t_d_estimate_ms": 1e3 * estimate.t_d_s}
+        return HandRow(**columns, n_events_cam1=n_cam1, n_events_cam2=n_cam2, cpu_s=cpu_s)
 
+    @cached_property
     def by_default(self) -> HandRow:
-        """Run the default."""
-        if self.default is None:
-            self.default = self.said(SETTINGS[UNASKED])
-        return self.default
+        """What the default says, which is found once."""
+        return self.said(SETTINGS[UNASKED])
 
 
 def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
@@ -171,10 +166,10 @@ def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
 def hand_row(cell: HandCell, tried: Tried) -> HandRow:
     """Run one setting on one recording, unless the default is right and gives all."""
     if cell.setting == UNASKED:
-        return tried.by_default()
+        return tried.by_default
     if not cell.every:
         with suppress(SsacError):  # of which the default's own row tells
-            default = tried.by_default()
+            default = tried.by_default
             if default.pose_given and right(pd.DataFrame([vars(default)]))[0]:
                 return HandRow(SPARED)
     return tried.said(SETTINGS[cell.setting])
@@ -217,12 +212,10 @@ def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
         "all": default,
         "rig as stated": default[default["kind"] != WRONG_RIG],
         f"under {SHORT_S:g} s": default[default["duration_s"] < SHORT_S],
+        **{kind: default[default["kind"] == kind] for kind in KINDS},
     }
-    parts |= {kind: default[default["kind"] == kind] for kind in KINDS}
-    table: pd.DataFrame = pd.DataFrame(
-        [{"kind": kind, **_counts(some)} for kind, some in parts.items() if len(some)]
-    )
-    return table
+    rows = [{"kind": kind, **_counts(some)} for kind, some in parts.items() if len(some)]
+    return pd.DataFrame(rows)
 
 
 def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
@@ -234,9 +227,8 @@ def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
         verdict, better = "wrong", better[:0]
     elif len(better):
         verdict = "settled"
-    judged: pd.Series[Any] = pd.concat(
-        [default, pd.Series({"verdict": verdict, "settings": list(better)})]
-    )
+    more = pd.Series({"verdict": verdict, "settings": list(better)})
+    judged: pd.Series[Any] = pd.concat([default, more])
     return judged
 
 
@@ -303,6 +295,8 @@ def hand_figure(table: pd.DataFrame) -> Figure:
     return figure
 
 
+_ALL_HELD = "{t_d_held:.0%}, {R_held:.0%} and {t_held:.0%}"
+
 STUDIES = (
     Study(
         "by_hand",
@@ -318,16 +312,10 @@ STUDIES = (
         shows="by_hand",
         again=False,
         numbers={
-            f"by_hand.{name}": quoted("by_hand", form, kind="all")
-            for name, form in {
-                "recordings": "{recordings:.0f}",
-                "right": "{right:.0f}",
-                "wrong": "{wrong:.0f}",
-                "settled": "{settled:.0f}",
-                "held": "{t_d_held:.0%}, {R_held:.0%} and {t_held:.0%}",
-                "beyond": "{beyond:.0f}",
-            }.items()
-        },
+            f"by_hand.{name}": quoted("by_hand", f"{{{name}:.0f}}", kind="all")
+            for name in ("recordings", "right", "wrong", "settled", "beyond")
+        }
+        | {"by_hand.held": quoted("by_hand", _ALL_HELD, kind="all")},
     ),
 )
 
