@@ -109,11 +109,9 @@ def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> 
 
 
 def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
-    """Sum up the runs at each point of a grid, by method.
+    """Sum up the runs at each point of a grid, by method, as docs/sweeps.md says.
 
-    `refusals` says how often each status but "ok" came; of each error there are, over the answered
-    runs, the mean, its 95 % interval `_low` to `_high` (Student's t), and the median. Empty where
-    nothing is known.
+    Of each error of the answered runs there are mean, its 95 % interval (Student's t) and median.
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:

@@ -93,8 +93,7 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
 def confidence(normalised: Array, parameters: int) -> Array:
     """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
 
-    `normalised` (n,) are errors over their deviations, or Mahalanobis distances of so many
-    parameters, which are chi^2's degrees of freedom.
+    Of errors (n,) over their deviations, or Mahalanobis distances of so many parameters.
     """
     return np.asarray(chi2.cdf(np.square(normalised), parameters))
 
@@ -117,10 +116,7 @@ def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def coverage_figure(runs: pd.DataFrame) -> Figure:
-    """Draw observed against nominal coverage: a panel for each of t_d, R and t.
-
-    The band is where 95 % of the runs' shares would lie if the deviations were right.
-    """
+    """Draw observed against nominal coverage, with the sampling error if deviations were right."""
     runs, drawn = _with_clocks(runs), [one for one in QUANTITIES.values() if one.label]
     figure, grid = panels("How often the stated intervals hold the truth", 3.4, columns=len(drawn))
     for axes, quantity in zip(grid[0], drawn, strict=True):

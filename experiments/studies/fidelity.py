@@ -87,10 +87,7 @@ def opengl_config(config: SimConfig) -> SimConfig:
 
 
 def reference_config(config: SimConfig) -> SimConfig:
-    """Return the same scene, rendered 8 times more densely in time with 962 samples per pixel.
-
-    OpenGL cannot draw as many, so nothing is checked against it.
-    """
+    """Return the same scene, far denser in time and samples: OpenGL cannot check as many."""
     step_px, rate_hz = config.sampling.max_step_px, config.sampling.min_rate_hz
     sampling = SamplingConfig(max_step_px=step_px / DENSER, min_rate_hz=rate_hz * DENSER)
     render = replace(config.render, lattice=REFERENCE_LATTICE, check=False)
@@ -191,11 +188,7 @@ def _beside(
 
 
 def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the flights of each duration: means of how the events differ, and differences of t_d.
-
-    These have no signs: their mean, its standard error (`_se_ms`; NaN of one flight) and the
-    largest (`_max_ms`).
-    """
+    """Sum up the flights of each duration: means of how events differ, and |differences| of t_d."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok = answered(group)

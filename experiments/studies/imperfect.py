@@ -164,9 +164,8 @@ def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Count what was answered, what held, and what was confidently wrong, by kind and method.
 
-    Those of all kinds together come first. Answers have an offset; of each quantity it is counted
-    how often it was given with a deviation, and the share of these whose interval or region of 95 %
-    holds the truth.
+    All kinds together come first. Answers have an offset; `_held` is a share of what is given with
+    a deviation.
     """
     kinds = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
     rows = [

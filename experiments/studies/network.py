@@ -238,8 +238,7 @@ def path_off_best_point_m(path: SpacePath, true_m: Array, truth: FlightTruth) ->
 def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up the flights by kind: means of all that was measured, and the largest of the errors.
 
-    Of those `told`, which are cameras but the first of each flight, it is counted how many of the
-    stated intervals and regions of 95 % hold the truth.
+    Of those `told`, all cameras but the first, `_held` counts the regions of 95 % that hold.
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
@@ -258,11 +257,7 @@ def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def page_table(results: Results) -> str:
-    """Lay out what four event cameras gave, with their events and with true tracks.
-
-    Errors are means, in brackets the largest; of the stated regions of 95 % how many hold the
-    truth, of the path the share of its coordinates.
-    """
+    """Lay out mean errors (the largest), and how many of the stated regions of 95 % hold."""
     table = results.table("network")
     kinds, nearest = table["kind"].str.replace("_", " "), table["path_point_rmse_mm"].map(digits)
     shown = table.assign(kind=kinds, nearest=nearest, path_held=100 * table["path_held"])

@@ -208,10 +208,9 @@ def estimated(
 
 
 def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
-    """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
+    """Triangulate both tracks, smoothed, in camera 1's frame; None of too few points before both.
 
-    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock. Rays
-    that miss each other by far more than others do, at their depth, are of no one point.
+    Rays that miss each other by far more than others do, at their depth, are of no one point.
     """
     estimate, rig = found.estimate, found.rig
     views = found.views.under(estimate.clock)
@@ -277,11 +276,7 @@ def first_flight(_: Results, folder: Path) -> Figure | None:
 
 
 def page_table(results: Results) -> str:
-    """Lay out what the flights gave, by what was taken from the truth.
-
-    Errors are means, in brackets the path's largest; of t_d and skew how many of the stated 95 %
-    intervals hold the truth.
-    """
+    """Lay out mean errors (the path's largest), and how many intervals of t_d and skew hold."""
 
     def row(flights: pd.DataFrame) -> dict[str, Any]:
         given = flights[flights["rmse_m"].notna()]

@@ -71,10 +71,7 @@ def comparison(results: Results) -> pd.DataFrame:
 
 
 def page_table(results: Results) -> str:
-    """Lay out the paper's means and ours by duration and angle, over the offsets, as t_d / R / t.
-
-    The offsets of a recording leave the same errors here, and other recordings in the paper.
-    """
+    """Lay out the paper's means and ours by duration and angle, over the offsets."""
     rows = []
     compared = results.table("mini_comparison").groupby(["duration_s", "angle_deg"], sort=False)
     for (duration_s, angle_deg), of in compared:
@@ -166,11 +163,7 @@ def budget_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell
 
 
 def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors by kind, angle and method, of the runs that are answered ("ok").
-
-    `t_d_bias_ms` is the mean of the signed error of t_d, `t_d_held` the share of the stated 95 %
-    intervals of t_d that hold the truth.
-    """
+    """Mean errors by kind, angle and method, of what is answered; `t_d_bias_ms` has its sign."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok = answered(group)
@@ -186,11 +179,7 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def budget_figure(summary: pd.DataFrame) -> Figure:
-    """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
-
-    The mean over the angles of each imperfection alone (dot) and of all but it (cross); lines
-    stand where there is none and where there are all.
-    """
+    """Draw mean errors with each imperfection alone (dot), all but it (cross), none and all."""
     from matplotlib.ticker import LogLocator
 
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
@@ -296,10 +285,7 @@ def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Apparent offsets, which are the estimated less the clocks', by ratio and polarity.
-
-    `swapped_ms` is the mean of that of a ratio and its inverse, which swapping the lights leaves.
-    """
+    """Apparent offsets, found less the clocks'; `swapped_ms`: their mean with lights swapped."""
     runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
 
     def row(group: pd.DataFrame) -> dict[str, float]:

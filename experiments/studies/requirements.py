@@ -262,13 +262,11 @@ _MOVED = ("t_d_moved_ms", "r_moved_deg", "t_moved_deg")
 
 
 def required_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum the runs up by kind.
+    """Sum the runs up by kind; `reached` is how many do as required (NaN: nothing is).
 
-    `reached` is how many do as required (NaN: nothing is). Of the answers, which have an offset,
-    there are the largest errors (of t_d the rms too), the medians of the stated deviations, how
-    many of the intervals and regions of 95 % that are given hold the truth, and how many are over
-    3.5 deviations off; then the jumps that are told, how far wrong intrinsics move the estimate,
-    and the time.
+    Of answers, which have an offset, there are the largest errors, medians of stated deviations,
+    how many of the regions of 95 % hold, and how many are over 3.5 deviations off; of all runs the
+    jumps that are told, how far wrong intrinsics move the estimate, and the time.
     """
     rows = [
         {

@@ -18,7 +18,7 @@ from experiments.lab.markdown import digits, listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, Made, Runs, Study
-from experiments.lab.summary import answered
+from experiments.lab.summary import answered, records
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
@@ -107,37 +107,35 @@ def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
 # --- What must hold of any runs, whatever the methods find ---
 
 
-def _described(runs: pd.DataFrame) -> list[str]:
-    return [esim.describe(row) for row in runs.to_dict("records")]
+def _impossible(runs: pd.DataFrame) -> "pd.Series[bool]":
+    is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS) | runs["t_d_estimate_ms"].isna()
+    return is_so & (runs["status"] == "ok")
 
 
-def _impossible(runs: pd.DataFrame) -> list[str]:
-    ok = answered(runs)
-    is_so = ~ok["t_d_error_ms"].between(0.0, _SEARCH_MS) | ok["t_d_estimate_ms"].isna()
-    return _described(ok[is_so])
-
-
-def _poses_at_times(runs: pd.DataFrame) -> list[str]:
-    ok = answered(runs)
+def _poses_at_times(results: Results) -> list[str]:
+    ok = answered(results.table("runs"))
     poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
-def _unexplained(runs: pd.DataFrame) -> list[str]:
-    return _described(runs[(runs["status"] != "ok") & runs["reason"].isna()])
+def _none(what: str, is_one: Callable[[pd.DataFrame], "pd.Series[bool]"]) -> Check:
+    """Declare that no run is one of some."""
 
+    def faults(results: Results) -> list[str]:
+        runs = results.table("runs")
+        return [esim.describe(row) for row in records(runs[is_one(runs)])]
 
-def _check(what: str, faults: Callable[[pd.DataFrame], list[str]]) -> Check:
-    return what, lambda results: faults(results.table("runs"))
+    return what, faults
 
 
 CHECKS = (
-    _check("no run crashed", lambda runs: _described(runs[runs["status"] == CRASHED])),
-    _check("every failed run has a reason", _unexplained),
-    _check("errors are possible ones", _impossible),
-    _check("a method gives a pose always or never", _poses_at_times),
+    _none("no run crashed", lambda runs: runs["status"] == CRASHED),
+    _none("every failed run has a reason",
+          lambda runs: (runs["status"] != "ok") & runs["reason"].isna()),
+    _none("errors are possible ones", _impossible),
+    ("a method gives a pose always or never", _poses_at_times),
     *scored_checks("runs"),
-)
+)  # fmt: skip
 
 
 # --- What pages quote ---

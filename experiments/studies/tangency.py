@@ -121,10 +121,7 @@ def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> V
 
 
 def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors of each variant, over all angles and with t_d's at the worst angle.
-
-    `normalised_rms` is the root mean square of t_d's error over its stated deviation.
-    """
+    """Mean errors of each variant, over all angles, and t_d's at the worst angle."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         good = answered(group)
