@@ -154,9 +154,10 @@ def page_table(results: Results) -> str:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
         shares = (100 * of["coverage_95"]).map("{:.1f}".format)
         poses = ["", ""] if method.endswith("-known") else [shares["R"], shares["t"]]
-        low, high, rms = of.loc["t_d", ["coverage_95_low", "coverage_95_high", "rms_normalised"]]
-        sampling = f"{100 * low:.1f} to {100 * high:.1f}"
-        rows.append([f"`{method}`", shares["t_d"], sampling, *poses, shares["skew"], f"{rms:.2f}"])
+        t_d = of.loc["t_d"]
+        sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
+        rms = f"{t_d['rms_normalised']:.2f}"
+        rows.append([f"`{method}`", shares["t_d"], sampling, *poses, shares["skew"], rms])
     header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
     return markdown_table([*header, "t_d: rms of error / deviation"], rows)
 

@@ -142,7 +142,7 @@ def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     )
 
 
-def rendered_agreement(signal: str, flight: SignalFlight) -> dict[str, float]:
+def rendered_agreement(signal: str, flight: SignalFlight) -> dict[str, Any]:
     """Correlate what both cameras recorded, as one of RENDERED_SIGNALS."""
     if signal in (RAW, ZNCC_E, ZNCC_F):
         chain = flight.chain.under(Config(denoise=False)) if signal == RAW else flight.chain
@@ -190,7 +190,7 @@ def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal
     }
 
 
-def agreement(signal1: Signal, signal2: Signal, bin_s: float) -> dict[str, float]:
+def agreement(signal1: Signal, signal2: Signal, bin_s: float) -> dict[str, Any]:
     """Correlate two signals over lags of +-1 s."""
     lags = lags_of(Config(), bin_s)
     curve = zncc(signal1, signal2, lags, _SIGNALS.min_overlap)
@@ -208,7 +208,7 @@ def _frame_changes(camera: Observation) -> Signal:
     return binned(camera.frame_times_s[1:], np.array(changes), FRAME_S)
 
 
-def _agreement(lags_s: Array, curve: Array) -> dict[str, float]:
+def _agreement(lags_s: Array, curve: Array) -> dict[str, Any]:
     return {
         "error_ms": 1e3 * abs(float(lags_s[np.nanargmax(curve)])),
         "at_truth": float(curve[np.argmin(np.abs(lags_s))]),
