@@ -14,14 +14,14 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	audit browser torture scene fidelity real outdoor network physical docs wheel clean-cache clean moved
+	audit browser fuzz scene fidelity real outdoor network physical docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 # Commands of `ssac` with their own names; what each makes stands below.
-demo tables figures numbers report verify torture scene outdoor network physical: .venv/.kernels
+demo tables figures numbers report verify scene outdoor network physical: .venv/.kernels
 	@.venv/bin/ssac $@
 
 setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the others run this first)
@@ -87,7 +87,8 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
 	@out/audit/bin/pip-audit --requirement requirements.txt --no-deps --disable-pip --strict --progress-spinner off
 
-torture: ## 20,000 damaged inputs (an hour) -> results/reliability.csv
+fuzz: .venv/.kernels ## thousands of damaged files of all kinds (a quarter of an hour)
+	@$(RUN) pytest --quiet tests/test_damaged_inputs.py --hypothesis-profile fuzz
 
 bench: .venv/.kernels ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \

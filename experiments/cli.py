@@ -40,8 +40,6 @@ COMMANDS = (
           "experiments.commands", "numbers_command"),
     Entry("real", REPRODUCE, "Public drone-tracking data sets (download them first).",
           "experiments.studies.real", "real_command"),
-    Entry("torture", REPRODUCE, "Robustness: damaged inputs of all kinds.",
-          "experiments.studies.reliability", "command"),
     Entry("outdoor", REPRODUCE, "The paper's outdoor experiment, simulated.",
           "experiments.studies.outdoor", "command"),
     Entry("network", REPRODUCE, "Many cameras at once: errors of four, run time with eight.",

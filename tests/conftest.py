@@ -1,8 +1,13 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.recorded import Recorded, record
+
+settings.register_profile("few", max_examples=8, derandomize=True, deadline=None)
+settings.register_profile("fuzz", max_examples=1000, deadline=20_000, print_blob=True)  # [ms]
+settings.load_profile("few")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

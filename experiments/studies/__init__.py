@@ -11,7 +11,6 @@ FILES = (
     "coverage",
     "efficiency",
     "refusal",
-    "reasons",
     "imperfect",
     "requirements",
     "tangency",
@@ -23,11 +22,9 @@ FILES = (
     "physical",
     "outdoor",
     "network",
-    "network_growth",
     "real",
     "figures",
     "bench",
-    "reliability",
 )
 """In the order in which they are listed and checked."""
 

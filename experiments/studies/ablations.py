@@ -43,17 +43,17 @@ def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 def sizes_table(results: Results) -> str:
     """Mean errors of t_d and R over all angles, by the drone's size and method."""
     table, varied = results.table("ablation_size"), "sim.drone_size_m"
-    methods, rows = list(dict.fromkeys(table["method"])), []
+    header = [varied.split(".")[-1], *(f"`{method}`" for method in table["method"].unique())]
+    rows = []
     for size_m, of_size in table.groupby(varied, sort=False):
         cells = [f"{size_m:g}"]
-        for method in methods:
-            of = of_size[of_size["method"] == method]
+        for _, of in of_size.groupby("method", sort=False):
             means = [float(of[f"{error.column}_mean"].mean()) for error in (T_D_ERROR, R_ERROR)]
             shown = " / ".join(digits(mean) for mean in means if np.isfinite(mean)) or "none"
             n_runs = int(of["n_runs"].sum())
             cells.append(f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})")
         rows.append(cells)
-    return markdown_table([varied.split(".")[-1], *(f"`{method}`" for method in methods)], rows)
+    return markdown_table(header, rows)
 
 
 def largest_with_noise(results: Results) -> str:
@@ -109,11 +109,9 @@ def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> 
 
 
 def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
-    """Sum up the runs at each point of a grid, by method.
+    """Sum up the runs at each point of a grid, by method, as docs/sweeps.md says.
 
-    `refusals` says how often each status but "ok" came; of each error there are, over the answered
-    runs, the mean, its 95 % interval `_low` to `_high` (Student's t), and the median. Empty where
-    nothing is known.
+    Of each error of the answered runs there are mean, its 95 % interval (Student's t) and median.
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
@@ -130,13 +128,13 @@ def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
     """Mean of an error with its interval, and the median."""
     values = column.dropna().to_numpy(np.float64)
-    n = len(values)
+    n, half = len(values), np.nan
     if n == 0:
         return dict.fromkeys(("mean", "low", "high", "median"), np.nan)
-    mean, half = float(np.mean(values)), np.nan
     if n > 1:
         deviation = float(np.std(values, ddof=1)) / np.sqrt(n)
         half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1)) * deviation
+    mean = float(np.mean(values))
     return {"mean": mean, "low": mean - half, "high": mean + half, "median": np.median(values)}
 
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
-from experiments.studies.imperfect import ImperfectRow, given_columns, held
+from experiments.studies.imperfect import ImperfectRow, given_columns, held_shares
 from experiments.worlds.odd import KINDS, SHORT_S, WRONG_RIG, OddCell, drawn, recorded, truth_of
 from ssac.arrays import Array, Mask
 from ssac.camera import with_deviations
@@ -123,19 +124,17 @@ def hand_cells(
     drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
     return [
         HandCell(one, setting, every and setting != UNASKED)
-        for one in drawn_ones
-        if kind in ("", one.kind)
+        for one in drawn_ones if kind in ("", one.kind)
         for setting in SETTINGS
-    ]
+    ]  # fmt: skip
 
 
 @dataclass
 class Tried:
-    """A recording, and what the default says of it, which is found once."""
+    """A recording, and what settings say of it."""
 
     chain: Chain
     truth: Truth
-    default: HandRow | None = None
 
     def said(self, setting: Setting) -> HandRow:
         """Run a setting, and score what it says."""
@@ -147,18 +146,14 @@ class Tried:
         start_s = time.process_time()
         estimate = chain.under(setting.config).estimate(setting.method)
         cpu_s = time.process_time() - start_s
-        return HandRow(
-            **given_columns(estimate, self.truth) | {"t_d_estimate_ms": 1e3 * estimate.t_d_s},
-            n_events_cam1=chain.clean(0).n_recorded,
-            n_events_cam2=chain.clean(1).n_recorded,
-            cpu_s=cpu_s,
-        )
+        n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+        columns = given_columns(estimate, self.truth) | {"t_d_estimate_ms": 1e3 * estimate.t_d_s}
+        return HandRow(**columns, n_events_cam1=n_cam1, n_events_cam2=n_cam2, cpu_s=cpu_s)
 
+    @cached_property
     def by_default(self) -> HandRow:
-        """Run the default."""
-        if self.default is None:
-            self.default = self.said(SETTINGS[UNASKED])
-        return self.default
+        """What the default says, which is found once."""
+        return self.said(SETTINGS[UNASKED])
 
 
 def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
@@ -171,10 +166,10 @@ def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
 def hand_row(cell: HandCell, tried: Tried) -> HandRow:
     """Run one setting on one recording, unless the default is right and gives all."""
     if cell.setting == UNASKED:
-        return tried.by_default()
+        return tried.by_default
     if not cell.every:
         with suppress(SsacError):  # of which the default's own row tells
-            default = tried.by_default()
+            default = tried.by_default
             if default.pose_given and right(pd.DataFrame([vars(default)]))[0]:
                 return HandRow(SPARED)
     return tried.said(SETTINGS[cell.setting])
@@ -205,17 +200,10 @@ def _numbers(runs: pd.DataFrame, column: str) -> Array:
 def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up by kind what the default says, and what settings by hand would.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row for all recordings, for those whose rig is as it says, for those under `SHORT_S`,
-        and for each kind: `recordings`; `answered`, those with an offset, and `posed`, with a pose
-        too. Each is one of `wrong`, `settled`, where a setting is right and gives more, be it an
-        offset or a pose, `right`, and refused by all. Of t_d, R and t how many are given, and the
-        share whose interval or region of 95 % holds the truth; `beyond`, with one of them over
-        `MAX_SIGMAS` deviations off, and `worst`, the number of the recording that is farthest off
-        and by how many; `refused`, the statuses of those without an offset, and `settings`, which
-        are right where these are `settled`, with their counts; median and largest `cpu_s`.
+    Each recording is one of `wrong`, `settled`, where a setting is right and gives more, be it an
+    offset or a pose, `right`, and refused by all; `settings` are those that are right, with counts.
+    `beyond` are over `MAX_SIGMAS` deviations off, and `worst` is the recording that is farthest
+    off, and by how many.
     """
     runs = runs.assign(is_right=right(runs), is_beyond=np.any(list(beyond(runs).values()), axis=0))
     runs["gives"] = runs["offset_given"].astype(int) + runs["pose_given"].astype(int)
@@ -224,12 +212,10 @@ def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
         "all": default,
         "rig as stated": default[default["kind"] != WRONG_RIG],
         f"under {SHORT_S:g} s": default[default["duration_s"] < SHORT_S],
+        **{kind: default[default["kind"] == kind] for kind in KINDS},
     }
-    parts |= {kind: default[default["kind"] == kind] for kind in KINDS}
-    table: pd.DataFrame = pd.DataFrame(
-        [{"kind": kind, **_counts(some)} for kind, some in parts.items() if len(some)]
-    )
-    return table
+    rows = [{"kind": kind, **_counts(some)} for kind, some in parts.items() if len(some)]
+    return pd.DataFrame(rows)
 
 
 def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
@@ -241,32 +227,32 @@ def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
         verdict, better = "wrong", better[:0]
     elif len(better):
         verdict = "settled"
-    judged: pd.Series[Any] = pd.concat(
-        [default, pd.Series({"verdict": verdict, "settings": list(better)})]
-    )
+    more = pd.Series({"verdict": verdict, "settings": list(better)})
+    judged: pd.Series[Any] = pd.concat([default, more])
     return judged
 
 
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
-    counts, _ = held(default, HELD)
+    shares, _ = held_shares(default, HELD)
     row: dict[str, Any] = {
         "recordings": len(default),
         "answered": int(given.sum()),
         "posed": int(default["pose_given"].astype(bool).sum()),
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
     }
-    for name in HELD:
-        n_given = row[f"{name}_given"] = counts[f"{name}_given"]
-        row[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
-    return row | {
-        "beyond": int(default["is_beyond"].sum()),
-        "worst": _worst(default),
-        "refused": _listed(default["status"][~given]),
-        "settings": _listed(default["settings"].explode()),
-        "cpu_s_median": default["cpu_s"].median(),
-        "cpu_s_most": default["cpu_s"].max(),
-    }
+    return (
+        row
+        | shares
+        | {
+            "beyond": int(default["is_beyond"].sum()),
+            "worst": _worst(default),
+            "refused": _listed(default["status"][~given]),
+            "settings": _listed(default["settings"].explode()),
+            "cpu_s_median": default["cpu_s"].median(),
+            "cpu_s_most": default["cpu_s"].max(),
+        }
+    )
 
 
 def _worst(default: pd.DataFrame) -> str:
@@ -309,6 +295,8 @@ def hand_figure(table: pd.DataFrame) -> Figure:
     return figure
 
 
+_ALL_HELD = "{t_d_held:.0%}, {R_held:.0%} and {t_held:.0%}"
+
 STUDIES = (
     Study(
         "by_hand",
@@ -324,16 +312,10 @@ STUDIES = (
         shows="by_hand",
         again=False,
         numbers={
-            f"by_hand.{name}": quoted("by_hand", form, kind="all")
-            for name, form in {
-                "recordings": "{recordings:.0f}",
-                "right": "{right:.0f}",
-                "wrong": "{wrong:.0f}",
-                "settled": "{settled:.0f}",
-                "held": "{t_d_held:.0%}, {R_held:.0%} and {t_held:.0%}",
-                "beyond": "{beyond:.0f}",
-            }.items()
-        },
+            f"by_hand.{name}": quoted("by_hand", f"{{{name}:.0f}}", kind="all")
+            for name in ("recordings", "right", "wrong", "settled", "beyond")
+        }
+        | {"by_hand.held": quoted("by_hand", _ALL_HELD, kind="all")},
     ),
 )
 

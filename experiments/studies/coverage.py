@@ -80,11 +80,8 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
     if len(values) == 0:
         return {}
     levels = confidence(values, quantity.parameters)
-    row: dict[str, Any] = {
-        "n_runs": len(runs),
-        "refused": int((runs["status"] != "ok").sum()),
-        "rms_normalised": float(np.sqrt(np.mean(values**2) / quantity.parameters)),
-    }
+    row: dict[str, Any] = {"n_runs": len(runs), "refused": int((runs["status"] != "ok").sum())}
+    row["rms_normalised"] = float(np.sqrt(np.mean(values**2) / quantity.parameters))
     for level in LEVELS:
         inside = int(np.sum(levels <= level))
         name = f"coverage_{100 * level:g}"
@@ -96,8 +93,7 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
 def confidence(normalised: Array, parameters: int) -> Array:
     """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
 
-    `normalised` (n,) are errors over their deviations, or Mahalanobis distances of so many
-    parameters, which are chi^2's degrees of freedom.
+    Of errors (n,) over their deviations, or Mahalanobis distances of so many parameters.
     """
     return np.asarray(chi2.cdf(np.square(normalised), parameters))
 
@@ -120,10 +116,7 @@ def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def coverage_figure(runs: pd.DataFrame) -> Figure:
-    """Draw observed against nominal coverage: a panel for each of t_d, R and t.
-
-    The band is where 95 % of the runs' shares would lie if the deviations were right.
-    """
+    """Draw observed against nominal coverage, with the sampling error if deviations were right."""
     runs, drawn = _with_clocks(runs), [one for one in QUANTITIES.values() if one.label]
     figure, grid = panels("How often the stated intervals hold the truth", 3.4, columns=len(drawn))
     for axes, quantity in zip(grid[0], drawn, strict=True):
@@ -159,15 +152,12 @@ def page_table(results: Results) -> str:
     rows = []
     for method in METHODS:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
-        shares, t_d = 100 * of["coverage_95"], of.loc["t_d"]
-        poses = [] if method.endswith("-known") else [f"{shares[one]:.1f}" for one in "Rt"]
+        shares = (100 * of["coverage_95"]).map("{:.1f}".format)
+        poses = ["", ""] if method.endswith("-known") else [shares["R"], shares["t"]]
+        t_d = of.loc["t_d"]
         sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
-        rows.append(
-            [
-                *(f"`{method}`", f"{shares['t_d']:.1f}", sampling, *(poses or ["", ""])),
-                *(f"{shares['skew']:.1f}", f"{t_d['rms_normalised']:.2f}"),
-            ]
-        )
+        rms = f"{t_d['rms_normalised']:.2f}"
+        rows.append([f"`{method}`", shares["t_d"], sampling, *poses, shares["skew"], rms])
     header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
     return markdown_table([*header, "t_d: rms of error / deviation"], rows)
 
@@ -182,15 +172,14 @@ def below_the_mark(results: Results) -> str:
     return listed(found) if found else "nowhere"
 
 
-_ALL_FLIGHTS = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
-
 STUDIES = (
     Study(
         "coverage", GRID.title, GRID.cells, SCORED,
         Runs("coverage_runs.csv", (*GRID.varied, "flight", "method")),
         (made_of("coverage.csv", coverage_table, "coverage_runs"),
          made_of("coverage.png", coverage_figure, "coverage_runs")),
-        numbers={"coverage.flights": quoted("coverage", "{n_runs:.0f}", **_ALL_FLIGHTS),
+        numbers={"coverage.flights": quoted("coverage", "{n_runs:.0f}", method="joint",
+                                            quantity="t_d", angle_deg="all"),
                  "coverage.below": below_the_mark, "table.coverage": page_table},
         checks=scored_checks("coverage_runs"), config=GRID.content,
     ),

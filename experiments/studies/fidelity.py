@@ -6,6 +6,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from experiments.paper.esim import ANGLES_DEG, DURATIONS_S, drawn
 from sim.recording import SimConfig
 from sim.render.config import SamplingConfig
 from sim.render.lattice import Lattice
+from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import IntArray
 from ssac.pipeline.chain import Chain
@@ -85,14 +87,9 @@ def opengl_config(config: SimConfig) -> SimConfig:
 
 
 def reference_config(config: SimConfig) -> SimConfig:
-    """Return the same scene, rendered 8 times more densely in time with 962 samples per pixel.
-
-    OpenGL cannot draw as many, so nothing is checked against it.
-    """
-    sampling = SamplingConfig(
-        max_step_px=config.sampling.max_step_px / DENSER,
-        min_rate_hz=config.sampling.min_rate_hz * DENSER,
-    )
+    """Return the same scene, far denser in time and samples: OpenGL cannot check as many."""
+    step_px, rate_hz = config.sampling.max_step_px, config.sampling.min_rate_hz
+    sampling = SamplingConfig(max_step_px=step_px / DENSER, min_rate_hz=rate_hz * DENSER)
     render = replace(config.render, lattice=REFERENCE_LATTICE, check=False)
     return replace(config, sampling=sampling, render=render)
 
@@ -168,8 +165,8 @@ def fidelity_cells() -> list[FidelityCell]:
     """List the flights."""
     cells = []
     for duration_s, n in N_FLIGHTS.items():
-        spline = replace(SimConfig().spline, duration_s=duration_s)
-        sim = SimConfig(spline=spline, frames=FrameConfig(rate_hz=0.0), t_d_s=T_D_S)
+        frames = FrameConfig(rate_hz=0.0)
+        sim = SimConfig(spline=SplineConfig(duration_s), frames=frames, t_d_s=T_D_S)
         cells += _beside(sim, FIRST_FLIGHT, n, reference_config)
     return cells
 
@@ -177,11 +174,9 @@ def fidelity_cells() -> list[FidelityCell]:
 def renderer_cells() -> list[FidelityCell]:
     """List the tables' first flights of each duration and angle, RENDERER_FLIGHTS of them."""
     cells = []
-    for duration_s in DURATIONS_S:
-        spline = replace(SimConfig().spline, duration_s=duration_s)
-        for angle_deg in ANGLES_DEG:
-            sim = SimConfig(angle_deg=angle_deg, spline=spline, t_d_s=T_D_S)
-            cells += _beside(sim, 0, RENDERER_FLIGHTS, opengl_config)
+    for duration_s, angle_deg in product(DURATIONS_S, ANGLES_DEG):
+        sim = SimConfig(angle_deg=angle_deg, spline=SplineConfig(duration_s), t_d_s=T_D_S)
+        cells += _beside(sim, 0, RENDERER_FLIGHTS, opengl_config)
     return cells
 
 
@@ -193,11 +188,7 @@ def _beside(
 
 
 def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the flights of each duration: means of how the events differ, and differences of t_d.
-
-    These have no signs: their mean, its standard error (`_se_ms`; NaN of one flight) and the
-    largest (`_max_ms`).
-    """
+    """Sum up the flights of each duration: means of how events differ, and |differences| of t_d."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok = answered(group)
@@ -206,11 +197,8 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
         row |= {name: ok[name].mean() for name in SHARES}
         for name in DIFFERENCES:
             sizes, start = ok[name].abs(), name.removesuffix("_ms")
-            row |= {
-                name: sizes.mean(),
-                f"{start}_se_ms": sizes.sem(),
-                f"{start}_max_ms": sizes.max(),
-            }
+            of_t_d = {name: sizes.mean(), f"{start}_se_ms": sizes.sem()}
+            row |= of_t_d | {f"{start}_max_ms": sizes.max()}
         return row
 
     return by_group(runs, ("duration_s",), row)

@@ -20,7 +20,7 @@ from experiments.lab.recorded import Flown, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import made_of, shown_table
+from experiments.lab.summary import made_of, records, shown_table
 from experiments.paper.esim import ANGLES_DEG, method_order
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
 from experiments.worlds import spoilt
@@ -114,10 +114,8 @@ def imperfect_cells() -> list[KindCell]:
         for index, scene in enumerate([*[ORDINARY] * (N_ORDINARY - 1), *SCENES]):
             flight = FIRST_FLIGHT + ROUND_STEP * number + index
             angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
-            sim, flights = (
-                replace(SCENES[scene], angle_deg=angle_deg),
-                (flight, flight + OTHER_FLIGHT),
-            )
+            sim = replace(SCENES[scene], angle_deg=angle_deg)
+            flights = (flight, flight + OTHER_FLIGHT)
             kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
             cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES, KindCell)
     return cells
@@ -165,11 +163,10 @@ def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Count what was answered, what held, and what was confidently wrong, by kind and method.
 
-    Those of all kinds together come first. Answers have an offset; of each quantity it is counted
-    how often it was given with a deviation, and the share of these whose interval or region of 95 %
-    holds the truth.
+    All kinds together come first. Answers have an offset; `_held` is a share of what is given with
+    a deviation.
     """
-    kinds = {ALL: runs} | {kind: runs[runs["kind"] == kind] for kind in dict.fromkeys(runs["kind"])}
+    kinds = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
     rows = [
         {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
         for kind, part in kinds.items()
@@ -179,12 +176,20 @@ def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:
-    row = answers(runs) | {"pose_given": int(runs["pose_given"].astype(bool).sum())}
-    counts, wrong = held(runs, HELD)
-    for name in HELD:
-        n_given = row[f"{name}_given"] = counts[f"{name}_given"]
-        row[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
-    return row | {"confident_wrong": int(wrong.sum())}
+    posed = {"pose_given": int(runs["pose_given"].astype(bool).sum())}
+    shares, wrong = held_shares(runs, HELD)
+    return answers(runs) | posed | shares | {"confident_wrong": int(wrong.sum())}
+
+
+def held_shares(
+    runs: pd.DataFrame, quantities: Mapping[str, Quantity]
+) -> tuple[dict[str, float], Mask]:
+    """Count `<name>_given`, of which `<name>_held` is a share, and tell the wrong, as `held`."""
+    counts, wrong = held(runs, quantities)
+    for name in quantities:
+        n_given = counts[f"{name}_given"]
+        counts[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
+    return counts, wrong
 
 
 def answers(runs: pd.DataFrame) -> dict[str, Any]:
@@ -195,9 +200,9 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
     return {"runs": len(runs), "answered": int(given.sum()), "refused": statuses}
 
 
-def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, int], Mask]:
+def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], Mask]:
     """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong."""
-    counts, wrong = {}, np.zeros(len(runs), bool)
+    counts, wrong = dict[str, float](), np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
         # The level of the interval on whose border the truth lies.
         levels = confidence(runs[quantity.column].to_numpy(np.float64), quantity.parameters)
@@ -210,25 +215,23 @@ def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[s
 def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
     rows = results.rows("imperfect", kind=ALL)
-    shares = {}
-    for name in HELD:
-        given = zip(rows[f"{name}_held"], rows[f"{name}_given"], strict=True)
-        shares[f"shown_{name}"] = [_share(share, int(n_given)) for share, n_given in given]
+    shown = {name: [_share(row, name) for row in records(rows)] for name in HELD}
     return shown_table(
-        rows.assign(**shares),
+        rows.assign(**shown),
         {
             "method": "`{method}`",
             "answered": "{answered} of {runs}",
-            **{f"{name} [%]": f"{{shown_{name}}}" for name in HELD},
+            **{f"{name} [%]": f"{{{name}}}" for name in HELD},
             "confident wrong": "{confident_wrong}",
         },
     )
 
 
-def _share(share: float, n_given: int) -> str:
+def _share(row: Mapping[str, Any], name: str) -> str:
+    share, n_given = row[f"{name}_held"], row[f"{name}_given"]
     if not np.isfinite(share):
         return ""
-    low, high = sampling_bounds(round(share * n_given), n_given)
+    low, high = sampling_bounds(round(share * n_given), int(n_given))
     return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
@@ -236,9 +239,8 @@ def kinds(results: Results, column: str) -> str:
     """List the kinds that `tangency` does not answer throughout, or answers wrongly."""
     table = results.rows("imperfect", method="tangency")
     table = table[table["kind"] != ALL].assign(not_answered=table["runs"] - table["answered"])
-    listed = table[table[column] > 0][["kind", column, "runs"]].itertuples(index=False)
-    shown = [f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed]
-    return "; ".join(shown) or "none"
+    listed = records(table[table[column] > 0])
+    return "; ".join(f"{one['kind']}: {one[column]} of {one['runs']}" for one in listed) or "none"
 
 
 STUDIES = (

@@ -128,26 +128,22 @@ def load_outdoor(cells: Sequence[OutdoorCell], cache: Cache) -> tuple[Path, ...]
 
 def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
     """Find clocks, pose and path in the way of the cell, and compare them with the truth."""
-    truths = truths_of(folders)
-    truth, path = truths[0], None
+    truths, path = truths_of(folders), None
+    truth = truths[0]
     found: Estimate | CameraAnswer
     if cell.kind in (TWO_AT_ONCE, THREE_CAMERAS):
         answer = at_once(folders, truths, cell)
         row, found = OutdoorRow(str(answer.status), answer.reason), answer.cameras[1]
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
             path = answer.paths[0].path
+        std_deg = float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
     else:
         of_two, path = estimated(folders[0], truth, cell)
-        found = of_two.estimate
+        found, std_deg = of_two.estimate, of_two.estimate.t_std_deg
         row = OutdoorRow(str(found.status), found.reason)
     if path is None:
         return row
     shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
-    std_deg = (
-        found.t_std_deg
-        if isinstance(found, Estimate)
-        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
-    )
     placed = placed_errors(found, shown_s, truth.clock.skew_ppm, truth.R, truth.t)
     return replace(row, **placed, t_std_deg=std_deg, **_path_errors(path, truth, cell.flight))
 
@@ -212,10 +208,9 @@ def estimated(
 
 
 def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
-    """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
+    """Triangulate both tracks, smoothed, in camera 1's frame; None of too few points before both.
 
-    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock. Rays
-    that miss each other by far more than others do, at their depth, are of no one point.
+    Rays that miss each other by far more than others do, at their depth, are of no one point.
     """
     estimate, rig = found.estimate, found.rig
     views = found.views.under(estimate.clock)
@@ -281,11 +276,7 @@ def first_flight(_: Results, folder: Path) -> Figure | None:
 
 
 def page_table(results: Results) -> str:
-    """Lay out what the flights gave, by what was taken from the truth.
-
-    Errors are means, in brackets the path's largest; of t_d and skew how many of the stated 95 %
-    intervals hold the truth.
-    """
+    """Lay out mean errors (the path's largest), and how many intervals of t_d and skew hold."""
 
     def row(flights: pd.DataFrame) -> dict[str, Any]:
         given = flights[flights["rmse_m"].notna()]

@@ -12,6 +12,7 @@ more, but it is not the same for both polarities, and changes its sign when the 
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from experiments.lab.command import command_of
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
-from experiments.lab.summary import answered, by_group, held, made_of, statistics
+from experiments.lab.summary import answered, by_group, held, made_of, shown_table, statistics
 from experiments.lab.verify import between, ordered, scored_checks
 from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
 from experiments.paper.esim import esim_table
@@ -45,13 +46,10 @@ def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.
     """List every method on every recording of a duration, with each offset."""
     methods, found = [method.name for method in OURS], list[bench.PhysicalCell]()
     for angle_deg in ANGLES_DEG:
+        of_angle = bench.bench_of(ALL, angle_deg, duration_s, bench.setup_seed(angle_deg, 0))
         for flight in range(recordings or N_RECORDINGS):
-            found += bench.cells_of(_bench(angle_deg, duration_s), {}, flight, T_DS_MS, methods)
+            found += bench.cells_of(of_angle, {}, flight, T_DS_MS, methods)
     return found
-
-
-def _bench(angle_deg: float, duration_s: float) -> bench.SetUp:
-    return bench.bench_of(ALL, angle_deg, duration_s, bench.setup_seed(angle_deg, 0))
 
 
 def published_tables() -> dict[float, pd.DataFrame]:
@@ -73,32 +71,27 @@ def comparison(results: Results) -> pd.DataFrame:
 
 
 def page_table(results: Results) -> str:
-    """Lay out the paper's means and ours by duration and angle, over the offsets, as t_d / R / t.
-
-    The offsets of a recording leave the same errors here, and other recordings in the paper.
-    """
+    """Lay out the paper's means and ours by duration and angle, over the offsets."""
     rows = []
     compared = results.table("mini_comparison").groupby(["duration_s", "angle_deg"], sort=False)
     for (duration_s, angle_deg), of in compared:
         published = of.groupby("quantity")["published_mean"].mean()
         ours = results.rows(f"mini_{duration_s:g}", angle_deg=angle_deg).mean(numeric_only=True)
-        means = [[ours[f"{name}_{error}_mean"] for error in ERRORS] for name in METHODS]
-        shown = [[published[f"ssac_{error}"] for error in ERRORS], *means]
-        rows.append([f"{duration_s:g}", f"{angle_deg:g}", *map(_slashed, shown)])
+        means = [[published[f"ssac_{error}"] for error in ERRORS]]
+        means += [[ours[f"{method}_{error}_mean"] for error in ERRORS] for method in METHODS]
+        rows.append([f"{duration_s:g}", f"{angle_deg:g}", *map(_slashed, means)])
     return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHODS)], rows)
 
 
 def held_table(results: Results) -> str:
     """Count answers, and stated 95 % intervals of t_d that hold the truth, of all recordings."""
     rows = []
-    for duration_s in DURATIONS_S:
-        for method in METHODS[1:]:
-            mine = results.rows(f"mini_{duration_s:g}_runs", method=method, t_d_ms=T_DS_MS[0])
-            ok = answered(mine)
-            means = (digits(float(ok[name].mean())) for name in ("t_d_error_ms", "t_d_std_ms"))
-            share = f"{100.0 * held(ok, 't_d', 'ms').mean():.0f}"
-            count = f"{len(ok)} of {len(mine)}"
-            rows.append([f"{duration_s:g}", f"`{method}`", count, share, *means])
+    for duration_s, method in product(DURATIONS_S, METHODS[1:]):
+        mine = results.rows(f"mini_{duration_s:g}_runs", method=method, t_d_ms=T_DS_MS[0])
+        ok = answered(mine)
+        means = (digits(ok[name].mean()) for name in ("t_d_error_ms", "t_d_std_ms"))
+        share, count = f"{100 * held(ok, 't_d', 'ms').mean():.0f}", f"{len(ok)} of {len(mine)}"
+        rows.append([f"{duration_s:g}", f"`{method}`", count, share, *means])
     header = ["s", "method", "answered", "held [%]", "error of t_d [ms]", "stated 1 sigma [ms]"]
     return markdown_table(header, rows)
 
@@ -111,7 +104,7 @@ def _config(duration_s: float) -> dict[str, Any]:
     return {
         "n_recordings": N_RECORDINGS, "duration_s": duration_s, "angles_deg": ANGLES_DEG,
         "t_ds_ms": T_DS_MS, "imperfections": list(IMPERFECTIONS),
-        "bench": _bench(ANGLES_DEG[0], duration_s),
+        "bench": cells(duration_s, 1)[0].bench,
     }  # fmt: skip
 
 
@@ -132,18 +125,16 @@ def _study(duration_s: float, *more: Made, **others: Any) -> Study:
     )  # fmt: skip
 
 
-_CONFIGS = {f"mini_{duration_s:g}": _config(duration_s) for duration_s in DURATIONS_S}
-
-
 TABLES = (
     _study(10.0),
     _study(
         20.0,
-        Made("mini_comparison.csv", comparison, config=_CONFIGS),
+        Made("mini_comparison.csv", comparison,
+             config={f"mini_{one:g}": _config(one) for one in DURATIONS_S}),
         reads=("mini_10.csv",),
         numbers={"table.mini": page_table, "table.mini.held": held_table},
     ),
-)
+)  # fmt: skip
 
 
 # --- What each fault costs ---
@@ -172,11 +163,7 @@ def budget_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell
 
 
 def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors by kind, angle and method, of the runs that are answered ("ok").
-
-    `t_d_bias_ms` is the mean of the signed error of t_d, `t_d_held` the share of the stated 95 %
-    intervals of t_d that hold the truth.
-    """
+    """Mean errors by kind, angle and method, of what is answered; `t_d_bias_ms` has its sign."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok = answered(group)
@@ -192,11 +179,7 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def budget_figure(summary: pd.DataFrame) -> Figure:
-    """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
-
-    The mean over the angles of each imperfection alone (dot) and of all but it (cross); lines
-    stand where there is none and where there are all.
-    """
+    """Draw mean errors with each imperfection alone (dot), all but it (cross), none and all."""
     from matplotlib.ticker import LogLocator
 
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
@@ -231,10 +214,9 @@ def budget_page(results: Results) -> str:
     means = [_budget_means(table, error.column) for error in (T_D_ERROR, R_ERROR)]
     kinds = {NONE: NONE, **{name: only(name) for name in IMPERFECTIONS}, ALL: ALL}
     rows = [
-        [name, *(" / ".join(digits(float(of[kind, method])) for of in means)
-                 for method in ON_THE_PAGE)]
+        [name, *(_slashed(of[kind, method] for of in means) for method in ON_THE_PAGE)]
         for name, kind in kinds.items()
-    ]  # fmt: skip
+    ]
     return markdown_table(["bench", *(f"`{method}`" for method in ON_THE_PAGE)], rows)
 
 
@@ -303,23 +285,20 @@ def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Apparent offsets, which are the estimated less the clocks', by ratio and polarity.
-
-    `swapped_ms` is the mean of that of a ratio and its inverse, which swapping the lights leaves.
-    """
+    """Apparent offsets, found less the clocks'; `swapped_ms`: their mean with lights swapped."""
     runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
 
     def row(group: pd.DataFrame) -> dict[str, float]:
         ok = answered(group)
-        counts = {"runs": len(group), "answered": len(ok)}
         apparent = statistics(ok, ["apparent_ms"], "mean", "std")
-        return {**counts, **apparent, "t_d_std_ms": ok["t_d_std_ms"].mean()}
+        std_ms = ok["t_d_std_ms"].mean()
+        return {"runs": len(group), "answered": len(ok), **apparent, "t_d_std_ms": std_ms}
 
     table = by_group(runs, ("light_ratio", "polarity"), row)
-    means = table["apparent_ms_mean"]
-    inverse = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
-    swapped = list(zip(1.0 / table["light_ratio"], table["polarity"], strict=True))
-    return table.assign(swapped_ms=0.5 * (means + inverse.reindex(swapped).to_numpy()))
+    means = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
+    inverse = zip(1.0 / table["light_ratio"], table["polarity"], strict=True)
+    swapped = means.reindex(list(inverse)).to_numpy()
+    return table.assign(swapped_ms=0.5 * (means.to_numpy() + swapped))
 
 
 def latency_figure(summary: pd.DataFrame) -> Figure:
@@ -354,19 +333,18 @@ def latency_figure(summary: pd.DataFrame) -> Figure:
 
 def latency_page(results: Results) -> str:
     """Lay the apparent offsets out by the ratio of the lights and by polarity [ms]."""
-    rows = []
-    for ratio, of_ratio in results.table("light_latency").groupby("light_ratio", sort=True):
-        by = of_ratio.set_index("polarity")
-        both, apparent = by.loc["both"], by["apparent_ms_mean"]
-        rows.append(
-            [
-                *(f"{ratio:g}", *(f"{apparent[name]:.2f}" for name in POLARITIES)),
-                *(digits(float(both["t_d_std_ms"])), f"{both['swapped_ms']:.2f}"),
-                f"{int(both['answered'])} of {int(both['runs'])}",
-            ]
-        )
-    header = ["light 2 / 1", "apparent", "ON alone", "OFF alone", "stated 1 sigma"]
-    return markdown_table([*header, "half sum with its inverse", "answered"], rows)
+    table = results.table("light_latency").sort_values("light_ratio", kind="stable")
+    apparent = table.pivot(index="light_ratio", columns="polarity", values="apparent_ms_mean")
+    both = table[table["polarity"] == "both"].merge(apparent, on="light_ratio")
+    return shown_table(both.assign(sigma=both["t_d_std_ms"].map(digits)), {
+        "light 2 / 1": "{light_ratio:g}",
+        "apparent": "{both:.2f}",
+        "ON alone": "{on:.2f}",
+        "OFF alone": "{off:.2f}",
+        "stated 1 sigma": "{sigma}",
+        "half sum with its inverse": "{swapped_ms:.2f}",
+        "answered": "{answered} of {runs}",
+    })  # fmt: skip
 
 
 LATENCY = Study(

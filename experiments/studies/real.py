@@ -170,57 +170,43 @@ def _keys(rows: pd.DataFrame) -> list[Key]:
 
 def _pair_faults(results: Results) -> Iterator[str]:
     pairs = results.table(PAIRS)
-    keys = list(dict.fromkeys(_keys(pairs)))
-    if len(keys) < len(pairs):
-        yield "a pair is there twice"
-    expected = []
-    for number in DATA_SETS:
-        last = max((j for one, _, j in keys if one == number), default=1)
-        expected += [(number, *two) for two in combinations(range(last + 1), 2)]
-    if keys != expected:
+    last = pairs.groupby("data_set")["camera_2"].max()
+    n_cameras = {number: int(last.get(number, 0)) + 1 for number in DATA_SETS}
+    if _keys(pairs) != [
+        (i, *two) for i, n in n_cameras.items() for two in combinations(range(n), 2)
+    ]:
         yield "its rows are not all pairs of cameras of each data set, in order"
-    for row in pairs.to_dict("records"):
-        name = f"data set {row['data_set']}, cameras {row['camera_1']} {row['camera_2']}"
-        if row["status"] in OFFSET_GIVEN:
-            yield from (
-                f"{name}: {column} is {row[column]}"
-                for column in ("t_d_s", "t_ref_s", "residual_px")
-                if not np.isfinite(row[column])
-            )
-        elif not isinstance(row["reason"], str):
-            yield f"{name}: {row['status']}, and it does not say why"
+    given = pairs["status"].isin(OFFSET_GIVEN)
+    for column in ("t_d_s", "t_ref_s", "residual_px"):
+        unknown = pairs[given & ~np.isfinite(pairs[column])]
+        yield from (f"{key} is answered without {column}" for key in _keys(unknown))
+    unsaid = _keys(pairs[~given & pairs["reason"].isna()])
+    yield from (f"{key} is refused, and it does not say why" for key in unsaid)
 
 
 def _triple_faults(results: Results) -> Iterator[str]:
-    pairs = results.table(PAIRS)
-    answered = pairs[pairs["status"].isin(OFFSET_GIVEN)]
-    known = set(_keys(answered))
-    found = [
-        ((int(number), *map(int, cameras.split("-"))), closure_ms)
-        for number, cameras, closure_ms in results.table(TRIPLES).itertuples(index=False)
-    ]
-    n_cameras = 1 + max((j for _, _, j in known), default=0)
-    expected = [
-        (number, *three)
-        for number in DATA_SETS
-        for three in combinations(range(n_cameras), 3)
-        if all((number, *two) in known for two in combinations(three, 2))
-    ]
-    if [triple for triple, _ in found] != expected:
-        yield "not each triple of which all pairs are answered is there once"
+    pairs, most_ms = results.table(PAIRS), dict[Key, float]()
     for number in DATA_SETS:
-        rows = answered[(answered["data_set"] == number) & (answered["clock"] == "affine")]
-        numbers = rows[["t_d_s", "skew_ppm", "t_ref_s"]].fillna({"skew_ppm": 0.0}).to_numpy()
-        found_s = zip(_keys(rows), numbers.tolist(), strict=True)
-        clocks = {key[1:]: Clock(*clock) for key, clock in found_s}
-        for triple, closure_s in closures_s(clocks).items():
-            there_ms = dict(found).get((number, *triple), np.nan)
-            if not abs(1e3 * closure_s - there_ms) <= _CLOSURE_MS:
+        of_set = pairs[(pairs["data_set"] == number) & pairs["status"].isin(OFFSET_GIVEN)]
+        numbers = of_set[["t_d_s", "skew_ppm", "t_ref_s"]].fillna({"skew_ppm": 0.0}).to_numpy()
+        clocks = {key[1:]: Clock(*one) for key, one in zip(_keys(of_set), numbers, strict=True)}
+        affine = {key[1:] for key in _keys(of_set[of_set["clock"] == "affine"])}
+        closures_ms = {triple: 1e3 * s for triple, s in closures_s(clocks).items()}
+        rows = results.table(TRIPLES).query(f"data_set == {number}")
+        if list(rows["cameras"]) != ["-".join(map(str, triple)) for triple in closures_ms]:
+            yield "not each triple of which all pairs are answered is there once"
+            return
+        for (triple, closes_ms), there_ms in zip(
+            closures_ms.items(), rows["closure_ms"], strict=True
+        ):
+            two_of_it = [*combinations(triple, 2)]
+            if affine.issuperset(two_of_it) and not abs(closes_ms - there_ms) <= _CLOSURE_MS:
                 yield f"data set {number}, {triple}: closes to {there_ms} ms, not as its pairs do"
-    most_ms: dict[Key, float] = {}
-    for (number, *three), closure_ms in found:
-        for i, j in combinations(three, 2):
-            most_ms[number, i, j] = max(most_ms.get((number, i, j), 0.0), abs(closure_ms))
+            for pair in two_of_it:
+                key = (number, *pair)
+                most_ms[key] = max(most_ms.get(key, 0.0), abs(there_ms))
+    if set(results.table(TRIPLES)["data_set"]) - {*DATA_SETS}:
+        yield "it has triples of no data set"
     yield from _unlike(pairs, "closure_ms", most_ms, np.nan)
 
 

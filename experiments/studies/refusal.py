@@ -1,36 +1,51 @@
-"""What methods say of flights that leave something open (docs/refusal.md).
+"""What methods say of flights that leave something open, and whether they say why.
 
 A method may refuse, in whole or in part; what it must not do is to give a confident wrong answer.
 Flight 1000 + 100 k + i is the i-th of the k-th kind of flight: those of no table and of no other
 study, and no threshold was set on them. The angles change from flight to flight.
+
+What names a cause stands with it in `worlds.open_flights`. The advice is read from the reason: each
+phrase of ADVICE stands for one change of the recording or of what was asked. Of several in a
+reason, one after the other is tried, as by a user, until there is an answer, which must be right.
+Recording i of base b is flight 60,000 + 100 b + i: of no table and of no other study. Words and
+rules were settled on bases 1, 2 and 20.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure, RunRow
+from experiments.lab.cell import Measure, RunRow, load_nothing
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import by_group, made_of
+from experiments.lab.summary import by_group, made_of, quoted
 from experiments.paper.esim import ANGLES_DEG
+from experiments.scenes.options import MAX_SEED
+from experiments.studies.by_hand import right
+from experiments.studies.imperfect import ImperfectRow, given_columns
+from experiments.worlds import open_flights
 from experiments.worlds.open_flights import (
-    FLIGHT_OF,
+    CAUSES,
+    DURATION_S,
     KINDS_OF_FLIGHT,
+    LONG_S,
+    Cause,
     OpenCase,
+    Scene,
     flight_config,
-    flight_of,
-    open_case,
 )
-from experiments.worlds.spoilt import KindCell, kind_cells
-from ssac.estimate import Estimate
+from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
+from ssac.cli.options import number
+from ssac.errors import SsacError
+from ssac.estimate import Estimate, Status
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
@@ -66,9 +81,9 @@ def refusal_cells() -> list[KindCell]:
     """List every method on every kind that is made of each flight."""
     cells = []
     for index in range(N_FLIGHTS):
-        for number, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
-            flight = FIRST_FLIGHT + KIND_STEP * number + index
-            sim = flight_config(of_flight, ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)])
+        for k, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
+            flight = FIRST_FLIGHT + KIND_STEP * k + index
+            sim = flight_config(of_flight, ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)])
             cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES, KindCell)
     return cells
 
@@ -76,7 +91,9 @@ def refusal_cells() -> list[KindCell]:
 def load_kinds(cells: Sequence[KindCell], cache: Cache) -> Flown:
     """Name the flight, and the other one."""
     first = cells[0]
-    load = partial(flight_of, FLIGHT_OF[first.kind], first.sim, cache=cache)
+    load = partial(
+        open_flights.flight_of, open_flights.FLIGHT_OF[first.kind], first.sim, cache=cache
+    )
     return Flown(load, first.seed, first.other_seed)
 
 
@@ -84,7 +101,7 @@ def refusal_row(cell: KindCell, flown: Flown) -> RefusalRow:
     """Run one method on one kind, and judge what it says."""
 
     def make() -> tuple[OpenCase, Chain]:
-        case = open_case(cell.kind, flown.flight, lambda: flown.other)
+        case = open_flights.open_case(cell.kind, flown.flight, lambda: flown.other)
         return case, Chain((case.cam1, case.cam2), case.rig, case.config)
 
     case, chain = flown.made(cell.kind, make)
@@ -140,11 +157,6 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     return by_group(runs, ("kind", "method"), row)
 
 
-def recordings(results: Results) -> str:
-    """Count the recordings."""
-    return str(len(results.rows("refusal_runs", method="joint")))
-
-
 def wrong(results: Results, method: str) -> str:
     """Count the confident wrong answers of one method."""
     return f"{results.column('refusal', 'confident_wrong', method=method).sum():.0f}"
@@ -156,6 +168,163 @@ def ordinary_answered(results: Results) -> str:
     return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
 
 
+# --- Whether refusals name their causes, and whether their advice works ---
+
+
+BASE = 61
+N_RECORDINGS = 20  # of each cause
+REASONS_FIRST_FLIGHT, BASE_STEP = 60_000, 100
+ALL = "all"  # kind of the row over all causes
+
+
+@dataclass(frozen=True)
+class ReasonRow(ImperfectRow):
+    """What was said, whether it is true, and what became of the advice."""
+
+    is_right: bool = False  # all that is given
+    is_named: bool = False
+    advice: str = ""  # phrases of the reason
+    works: bool = False
+    then: str = ""  # statuses when they were followed
+
+
+Follow = Callable[[Scene, OpenCase, Estimate], list[OpenCase]]
+"""Makes of a refused recording what the advice asks for, all of which must be answered rightly;
+nothing where the advice changes nothing of what is wrong with it."""
+
+
+def _filmed(**fields: Any) -> Follow:
+    """Film again, with some of the cause's fields changed."""
+    return lambda scene, case, estimate: [scene.changed(**fields).made()]
+
+
+def _mended(phrase: str) -> Follow:
+    """Film again without what spoilt the recording, if that is what the advice is about."""
+    return lambda scene, *_: [scene.plain()] if scene.cause.mended_by == phrase else []
+
+
+def _asked(**fields: Any) -> Follow:
+    """Ask again, with some options changed."""
+    return lambda scene, case, estimate: [replace(case, config=replace(case.config, **fields))]
+
+
+def _longer(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
+    is_longer = scene.cause.path == ORDINARY and scene.cause.duration_s < LONG_S
+    return [scene.changed(duration_s=LONG_S).made()] if is_longer else []
+
+
+def _cut(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
+    """Cut both recordings where the clock is said to jump; each part has an offset of its own."""
+    jump, t_d_s = estimate.jump, case.truth.t_d_s
+    assert jump is not None
+    ends_s = (-np.inf, jump.at_s, jump.before_s, t_d_s), (
+        jump.at_s, np.inf, jump.after_s, t_d_s + open_flights.jump_of(scene)[1],
+    )  # fmt: skip
+    return [
+        replace(
+            case,
+            cam1=open_flights.cut(case.cam1, from_s, to_s),
+            cam2=open_flights.cut(case.cam2, from_s + shown_s, to_s + shown_s),
+            truth=replace(case.truth, t_d_s=true_s),
+        )
+        for from_s, to_s, shown_s, true_s in ends_s
+    ]
+
+
+ADVICE: Mapping[str, Follow] = {
+    "leave out --search": _asked(interval_s=None),
+    "record longer": _longer,
+    "a livelier flight": _filmed(path=ORDINARY, duration_s=DURATION_S),
+    "in all directions": _filmed(path=ORDINARY, scale=1.0),
+    "record one flight": _mended("record one flight"),
+    "cut the recordings": _cut,
+    "--rate-range": _asked(rates=(0.5, 2.0)),
+    "--clock pieces": _asked(clock="pieces"),
+    "calibrate again": _mended("calibrate again"),
+    "give its inverse": lambda scene, case, estimate: [open_flights.inverted(case)],
+    "exchange them": lambda scene, case, estimate: [open_flights.exchanged(case)],
+    "record one object": _mended("record one object"),
+}
+"""What phrases of reasons ask for."""
+
+
+def reason_cells(
+    base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = BASE,
+    recordings: Annotated[int, number("How many of each cause.", 1, BASE_STEP)] = N_RECORDINGS,
+) -> list[KindCell]:
+    """List the recordings of all causes, those of one flight together."""
+    cells = []
+    for index in range(recordings):
+        flight = REASONS_FIRST_FLIGHT + BASE_STEP * base + index
+        sim = flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
+        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"], KindCell)
+    return cells
+
+
+def reason_row(cell: KindCell, cache: Cache) -> ReasonRow:
+    """Judge what is said of a recording, and of what its advice makes of it."""
+    cause = CAUSES[cell.kind]
+    scene = Scene(cause, cell, cache)
+    case = scene.made()
+    estimate, row = said(cause, case)
+    if row.status == Status.OK:
+        return row
+    there = [phrase for phrase in ADVICE if phrase in estimate.reason]
+    phrases, then = sorted(there, key=estimate.reason.index), []
+    for phrase in phrases:
+        rows = [said(cause, one)[1] for one in ADVICE[phrase](scene, case, estimate)]
+        then.append(",".join(str(one.status) for one in rows))
+        if rows and all(one.offset_given for one in rows):
+            row = replace(row, works=all(one.is_right for one in rows))
+            break
+    return replace(row, advice="; ".join(phrases), then="; ".join(then))
+
+
+def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
+    """Run the best method, or the cause's, and judge what it says."""
+    try:
+        chain = Chain((case.cam1, case.cam2), case.rig, case.config)
+        estimate = chain.estimate(cause.method) if cause.method else chain.answer().estimate
+    except SsacError as error:
+        return Estimate("", "unusable", str(error)), ReasonRow("unusable", str(error))
+    row = ReasonRow(**given_columns(estimate, case.truth))
+    names = estimate.status in cause.named_by and re.search(cause.words, estimate.reason)
+    is_right = bool(right(pd.DataFrame([vars(row)]))[0])
+    return estimate, replace(row, is_right=is_right, is_named=bool(names))
+
+
+def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Count by cause what was said, and what became of it.
+
+    `named` are refusals that are true, `right` and `wrong` what was answered in spite of the cause,
+    offsets without a pose among them. `advised` are refusals with an advice, and `works` those of
+    them that it mended.
+    """
+    causes = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
+    return pd.DataFrame([{"kind": kind, **_counts(part)} for kind, part in causes.items()])
+
+
+def _counts(runs: pd.DataFrame) -> dict[str, Any]:
+    given, named = runs["offset_given"].astype(bool), runs["is_named"].astype(bool)
+    is_right, advised = runs["is_right"].astype(bool), runs["advice"].fillna("") != ""
+    statuses = runs.loc[~named, "status"].value_counts()
+    return {
+        "recordings": len(runs),
+        "named": int(named.sum()),
+        "right": int((is_right & ~named).sum()),
+        "wrong": int((given & ~is_right).sum()),
+        "advised": int(advised.sum()),
+        "works": int(runs["works"].astype(bool).sum()),
+        "not_named": " ".join(f"{status}:{count}" for status, count in statuses.items()),
+    }
+
+
+def share(results: Results, columns: Sequence[str], of: str) -> str:
+    """Give the share [%] over all causes of some counts in another one."""
+    row = results.one("reasons", kind=ALL)
+    return f"{100 * sum(row[column] for column in columns) / row[of]:.0f}"
+
+
 STUDIES = (
     Study(
         "refusal",
@@ -165,10 +334,25 @@ STUDIES = (
         Runs("refusal_runs.csv", ("kind", "flight", "method")),
         (made_of("refusal.csv", refusal_table, "refusal_runs"),),
         numbers={
-            "refusal.recordings": recordings,
+            "refusal.recordings": lambda of: str(len(of.rows("refusal_runs", method="joint"))),
             "refusal.ordinary": ordinary_answered,
             **{f"refusal.wrong.{m}": partial(wrong, method=m) for m in METHOD_NAMES},
         },
         config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},
+    ),
+    Study(
+        "reasons",
+        "Whether refusals name their causes, and whether their advice works",
+        reason_cells,
+        Measure(load_nothing, reason_row, ReasonRow),
+        Runs("reasons_runs.csv", ("kind", "flight")),
+        (made_of("reasons.csv", reasons_table, "reasons_runs"),),
+        numbers={
+            "reasons.recordings": quoted("reasons", "{recordings:.0f}", kind=ALL),
+            "reasons.named": partial(share, columns=("named", "right"), of="recordings"),
+            "reasons.works": partial(share, columns=("works",), of="advised"),
+        },
+        config={"base": BASE, "recordings": N_RECORDINGS, "causes": list(CAUSES)},
+        shows="reasons",
     ),
 )

@@ -5,6 +5,7 @@ the cameras. Flight 40000 + 100 k + i is the i-th of the k-th scene: of no table
 study, and no threshold was set on them.
 """
 
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import made_of, quoted, shown_table, statistics
+from experiments.lab.summary import made_of, quoted, records, shown_table, statistics
 from experiments.paper.esim import ANGLES_DEG
 from experiments.studies import imperfect
 from experiments.studies.coverage import QUANTITIES, Quantity
@@ -88,22 +89,16 @@ def _clocks(
     scene: str,
     requirement: Requirement | None = None,
     skew_ppm: float = 0.0,
-    jump_ms: float | None = None,
+    jump_s: float = 0.0,
     skew_prior_ppm: float | None = None,
 ) -> Required:
-    jump = None if jump_ms is None else (JUMP_AT_S, 1e-3 * jump_ms)
-    kind = Kind(scene, skew_ppm=skew_ppm, jump=jump)
+    kind = Kind(scene, skew_ppm=skew_ppm, jump=(JUMP_AT_S, jump_s) if jump_s else None)
     return Required("clocks", kind, requirement, skew_prior_ppm)
 
 
-def _intrinsics(
-    errors: tuple[Errors, Errors] = (RIGHT, RIGHT),
-    stated: tuple[float, float] | None = None,
-    drawn: tuple[float, float] = (0.0, 0.0),
-) -> Required:
+def _intrinsics(drawn: tuple[float, float] = (0.0, 0.0), **rig: Any) -> Required:
     disturb = DisturbConfig(intrinsics_error=drawn)
-    kind = Kind("10 s", disturb, skew_ppm=0.0, errors=errors, stated=stated)
-    return Required("intrinsics", kind)
+    return Required("intrinsics", Kind("10 s", disturb, skew_ppm=0.0, **rig))
 
 
 _LONG: Errors = (0.01, 0.01, 0.0, 0.0)
@@ -141,16 +136,16 @@ KINDS: Mapping[str, Required] = {
     "82 s, skew 20 ppm": _clocks("82 s", _EXACT, 20.0),
     "82 s, skew 50 ppm": _clocks("82 s", _EXACT, 50.0),
     "82 s, skew 50 ppm, none looked for": _clocks("82 s", skew_ppm=50.0, skew_prior_ppm=0.0),
-    "20 s, jump of 5 ms": _clocks("20 s", _REFUSED, jump_ms=5.0),
-    "20 s, jump of 20 ms": _clocks("20 s", _REFUSED, jump_ms=20.0),
+    "20 s, jump of 5 ms": _clocks("20 s", _REFUSED, jump_s=0.005),
+    "20 s, jump of 20 ms": _clocks("20 s", _REFUSED, jump_s=0.02),
     "right, stated 0.1 %, 0.3 px": _intrinsics(stated=GOOD),
-    "focal lengths 1 % long, stated 1 %, 3 px": _intrinsics((_LONG, _LONG), CARELESS),
-    "focal lengths 1 % long, stated 0.1 %, 0.3 px": _intrinsics((_LONG, _LONG), GOOD),
-    "centres (3, 2) px off, stated 1 %, 3 px": _intrinsics((_OFF, _OFF), CARELESS),
-    "centres (3, 2) px off, stated 0.1 %, 0.3 px": _intrinsics((_OFF, _OFF), GOOD),
-    "drawn from 0.1 %, 0.3 px": _intrinsics(drawn=GOOD),
-    "drawn from 1 %, 3 px": _intrinsics(drawn=CARELESS),
-    **{name: _intrinsics(errors) for name, errors in UNSTATED.items()},
+    "focal lengths 1 % long, stated 1 %, 3 px": _intrinsics(errors=(_LONG, _LONG), stated=CARELESS),
+    "focal lengths 1 % long, stated 0.1 %, 0.3 px": _intrinsics(errors=(_LONG, _LONG), stated=GOOD),
+    "centres (3, 2) px off, stated 1 %, 3 px": _intrinsics(errors=(_OFF, _OFF), stated=CARELESS),
+    "centres (3, 2) px off, stated 0.1 %, 0.3 px": _intrinsics(errors=(_OFF, _OFF), stated=GOOD),
+    "drawn from 0.1 %, 0.3 px": _intrinsics(GOOD),
+    "drawn from 1 %, 3 px": _intrinsics(CARELESS),
+    **{name: _intrinsics(errors=errors) for name, errors in UNSTATED.items()},
 }
 """By name, group by group; kinds of one scene are made of the same flights."""
 
@@ -190,10 +185,9 @@ def required_cells() -> list[RequiredCell]:
             # The angles in the middle first, for scenes of few flights.
             of_angle = replace(sim, angle_deg=ANGLES_DEG[(2 + index) % len(ANGLES_DEG)])
             kinds = [
-                name
-                for name, required in KINDS.items()
+                name for name, required in KINDS.items()
                 if required.kind.scene == scene and index < flights_of(required.kind)
-            ]
+            ]  # fmt: skip
             flights = (flight, flight + OTHER_FLIGHT)
             cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,), RequiredCell)
     return cells
@@ -268,20 +262,20 @@ _MOVED = ("t_d_moved_ms", "r_moved_deg", "t_moved_deg")
 
 
 def required_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum the runs up by kind.
+    """Sum the runs up by kind; `reached` is how many do as required (NaN: nothing is).
 
-    `reached` is how many do as required (NaN: nothing is). Of the answers, which have an offset,
-    there are the largest errors (of t_d the rms too), the medians of the stated deviations, how
-    many of the intervals and regions of 95 % that are given hold the truth, and how many are over
-    3.5 deviations off; then the jumps that are told, how far wrong intrinsics move the estimate,
-    and the time.
+    Of answers, which have an offset, there are the largest errors, medians of stated deviations,
+    how many of the regions of 95 % hold, and how many are over 3.5 deviations off; of all runs the
+    jumps that are told, how far wrong intrinsics move the estimate, and the time.
     """
-    rows = []
-    for name, required in KINDS.items():
-        of_kind = runs[runs["kind"] == name]
-        rows.append(
-            {"group": required.group, "kind": name, **_summed(of_kind, required.requirement)}
-        )
+    rows = [
+        {
+            "group": required.group,
+            "kind": name,
+            **_summed(runs[runs["kind"] == name], required.requirement),
+        }
+        for name, required in KINDS.items()
+    ]
     return pd.DataFrame(rows)
 
 
@@ -289,26 +283,20 @@ def _summed(runs: pd.DataFrame, requirement: Requirement | None) -> dict[str, An
     given = runs[runs["offset_given"].astype(bool)]
     row = imperfect.answers(runs) | {"reached": np.nan}
     if requirement is not None:
-        row["reached"] = sum(meets(one, requirement) for one in runs.to_dict("records"))
+        row["reached"] = sum(meets(one, requirement) for one in records(runs))
     row |= statistics(given, _ERRORS, "most")
     row["t_d_error_ms_rms"] = np.sqrt((given["t_d_error_ms"] ** 2).mean())
-    row |= {name: _median(given[name]) for name in _STATED}
+    row |= {name: given[name].dropna().median() for name in _STATED}  # of none without a warning
     counts, wrong = imperfect.held(runs, HELD)
     row |= counts | {"confident_wrong": int(wrong.sum())}
     for name in ("jump_ms", "jump_at_s"):
         row |= {f"{name}_least": runs[name].min(), f"{name}_most": runs[name].max()}
     for name in (*_MOVED, "cpu_s"):
-        row |= {f"{name}_median": _median(runs[name]), f"{name}_most": runs[name].max()}
+        row |= {f"{name}_median": runs[name].dropna().median(), f"{name}_most": runs[name].max()}
     return row
 
 
-def _median(values: "pd.Series[Any]") -> float:
-    """Give the median of what is known; NaN of nothing, without a warning."""
-    known = values.dropna()
-    return float(known.median()) if len(known) else np.nan
-
-
-def meets(run: Mapping[Any, Any], requirement: Requirement) -> bool:
+def meets(run: Mapping[str, Any], requirement: Requirement) -> bool:
     """Whether a run does as required."""
     if not bool(run["offset_given"]):
         says_why = run["status"] != CRASHED and bool(run["reason"])
@@ -330,25 +318,19 @@ def sensitivity_table(results: Results) -> str:
     return shown_table(unstated, {"error of the intrinsics": "{kind}", **moved})
 
 
+_REACHED, _RMS_MS = "{reached:.0f} of {runs:.0f}", "{t_d_error_ms_rms:.3f} ms"
 _JUMPS = (
     "{jump_ms_least:.1f} to {jump_ms_most:.1f} ms, at {jump_at_s_least:.1f} to "
     "{jump_at_s_most:.1f} s"
 )
-_REACHED, _RMS_MS = "{reached:.0f} of {runs:.0f}", "{t_d_error_ms_rms:.3f} ms"
-_QUOTED = {
-    "jumps.20_s_jump_of_5_ms": (_JUMPS, "20 s, jump of 5 ms"),
-    "reached.5_px_drone_davis346": (_REACHED, "5 px drone, davis346"),
-    "reached.5_px_drone_davis346_noise_10_Hz/px": (
-        _REACHED,
-        "5 px drone, davis346, noise 10 Hz/px",
-    ),
-    "reached.82_s_skew_50_ppm": (_REACHED, "82 s, skew 50 ppm"),
-    "rms.20_s_clocks_alike": (_RMS_MS, "20 s, clocks alike"),
-    "rms.20_s_clocks_alike_no_skew_looked_for": (
-        _RMS_MS,
-        "20 s, clocks alike, no skew looked for",
-    ),
-}
+_QUOTED = (
+    ("jumps", _JUMPS, "20 s, jump of 5 ms"),
+    ("reached", _REACHED, "5 px drone, davis346"),
+    ("reached", _REACHED, "5 px drone, davis346, noise 10 Hz/px"),
+    ("reached", _REACHED, "82 s, skew 50 ppm"),
+    ("rms", _RMS_MS, "20 s, clocks alike"),
+    ("rms", _RMS_MS, "20 s, clocks alike, no skew looked for"),
+)
 
 
 STUDIES = (
@@ -363,8 +345,8 @@ STUDIES = (
             "table.marks.sensitivity": sensitivity_table,
             "marks.flights.10_s": lambda _: str(FLIGHTS["10 s"]),
             **{
-                f"marks.{name}": quoted("marks", form, kind=kind)
-                for name, (form, kind) in _QUOTED.items()
+                f"marks.{what}.{re.sub(',? ', '_', kind)}": quoted("marks", form, kind=kind)
+                for what, form, kind in _QUOTED
             },
         },
         config={"flights": dict(FLIGHTS), "few": FEW, "first_flight": FIRST_FLIGHT,

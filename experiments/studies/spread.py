@@ -98,8 +98,7 @@ def row(cell: SpreadCell, chain: Chain) -> SpreadRow:
 def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up the windows of each method, for each quantity that it gives.
 
-    `spread` is the root mean square from the mean over the windows, `most` the largest distance
-    from it (of R and t as an angle), and `stated` the median of the stated deviations.
+    `spread` is the root mean square from the mean over the windows, `most` the largest distance.
     """
     rows = []
     for method, group in runs.groupby("method", sort=False):

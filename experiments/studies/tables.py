@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from experiments.lab.markdown import digits, listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, Made, Runs, Study
-from experiments.lab.summary import answered
+from experiments.lab.summary import answered, records
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
@@ -70,11 +71,6 @@ def _read(text: str) -> pd.DataFrame:
     return esim.ordered_runs(runs)
 
 
-def table(results: Results, duration_s: float) -> pd.DataFrame:
-    """Mean errors of one duration."""
-    return esim.esim_table(runs_of(results), duration_s)
-
-
 def comparison(results: Results) -> pd.DataFrame:
     """Compare the tables of all flights, and of the first as many as the paper's, with its own."""
     return _compared(results.text("runs.csv"))
@@ -95,52 +91,51 @@ def page(results: Results) -> str:
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 
-def summary(results: Results) -> pd.DataFrame:
-    """Sum up the comparison."""
-    return compared.summary_table(comparison(results))
-
-
-def figure(results: Results, name: str) -> Figure:
+def figure(runs: pd.DataFrame, name: str) -> Figure:
     """Draw errors against the angle, beside the paper's: of all methods, or of ours beyond it."""
     from experiments.drawing import errors
 
-    drawn: Figure = getattr(errors, name)(runs_of(results), compared.load_published())
+    drawn: Figure = getattr(errors, name)(runs, compared.load_published())
     return drawn
+
+
+def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
+    """Declare a file that is made of the runs alone."""
+    return Made(file, lambda results: make(runs_of(results)))
 
 
 # --- What must hold of any runs, whatever the methods find ---
 
 
-def _described(runs: pd.DataFrame) -> list[str]:
-    return [esim.describe(row) for row in runs.to_dict("records")]
-
-
-def _impossible(runs: pd.DataFrame) -> list[str]:
+def _impossible(runs: pd.DataFrame) -> "pd.Series[bool]":
     is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS) | runs["t_d_estimate_ms"].isna()
-    return _described(runs[is_so & (runs["status"] == "ok")])
+    return is_so & (runs["status"] == "ok")
 
 
-def _poses_at_times(runs: pd.DataFrame) -> list[str]:
-    ok = answered(runs)
+def _poses_at_times(results: Results) -> list[str]:
+    ok = answered(results.table("runs"))
     poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
-def _unexplained(runs: pd.DataFrame) -> list[str]:
-    return _described(runs[(runs["status"] != "ok") & runs["reason"].isna()])
+def _none(what: str, is_one: Callable[[pd.DataFrame], "pd.Series[bool]"]) -> Check:
+    """Declare that no run is one of some."""
 
+    def faults(results: Results) -> list[str]:
+        runs = results.table("runs")
+        return [esim.describe(row) for row in records(runs[is_one(runs)])]
 
-def _check(what: str, faults: Callable[[pd.DataFrame], list[str]]) -> Check:
-    return what, lambda results: faults(results.table("runs"))
+    return what, faults
 
 
 CHECKS = (
-    _check("no run crashed", lambda runs: _described(runs[runs["status"] == CRASHED])),
-    _check("every failed run has a reason", _unexplained),
-    _check("errors are possible ones", _impossible),
-    _check("a method gives a pose always or never", _poses_at_times),
+    _none("no run crashed", lambda runs: runs["status"] == CRASHED),
+    _none("every failed run has a reason",
+          lambda runs: (runs["status"] != "ok") & runs["reason"].isna()),
+    _none("errors are possible ones", _impossible),
+    ("a method gives a pose always or never", _poses_at_times),
     *scored_checks("runs"),
-)
+)  # fmt: skip
 
 
 # --- What pages quote ---
@@ -210,10 +205,9 @@ def methods_table(results: Results) -> str:
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
             # of methods with the pose known, that of R and t is the pose they were given
             is_given = method.endswith("-known") and error != T_D_ERROR.column
-            means = cell_means(results, method, error) if has_it and not is_given else [np.nan]
-            is_empty = not np.isfinite(means).any()
-            shown = "" if is_empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
-            ranges.append(shown)
+            means = np.array(cell_means(results, method, error) if has_it and not is_given else [])
+            known = means[np.isfinite(means)]
+            ranges.append(f"{digits(known.min())} to {digits(known.max())}" if len(known) else "")
         rows.append([f"`{method}`", *ranges])
     return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
 
@@ -243,15 +237,15 @@ STUDIES = (
         Runs("runs.csv", tuple(esim.KEY), columns=esim.RUN_COLUMNS, numbered=False),
         (
             *(
-                Made(f"{name}.csv", partial(table, duration_s=duration_s))
+                made_of_runs(f"{name}.csv", partial(esim.esim_table, duration_s=duration_s))
                 for name, duration_s in zip(TABLES, DURATIONS_S, strict=True)
             ),
             Made("comparison.csv", comparison),
-            Made("comparison_summary.csv", summary),
+            Made("comparison_summary.csv", lambda of: compared.summary_table(comparison(of))),
             Made("README.md", page),
-            Made("error_vs_angle.png", partial(figure, name="error_figure")),
-            Made("beyond_paper.png", partial(figure, name="beyond_figure")),
-            Made("success.png", partial(figure, name="success_figure")),
+            made_of_runs("error_vs_angle.png", partial(figure, name="error_figure")),
+            made_of_runs("beyond_paper.png", partial(figure, name="beyond_figure")),
+            made_of_runs("success.png", partial(figure, name="success_figure")),
         ),
         numbers=NUMBERS,
         checks=CHECKS,

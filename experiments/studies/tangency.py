@@ -114,20 +114,14 @@ def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> V
     estimate, views, rig = started
     if cell.config is not None:
         estimate = refine_tangents(estimate, views.by(tangency=cell.config))
-    columns = scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))
+    columns = kept(VariantRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig))))
     signed_ms = 1e3 * (estimate.t_d_s - cell.sim.t_d_s)
-    return VariantRow(
-        **kept(VariantRow, columns),
-        t_d_bias_ms=signed_ms,
-        normalised=signed_ms / (1e3 * estimate.t_d_std_s),
-    )
+    normalised = signed_ms / (1e3 * estimate.t_d_std_s)
+    return VariantRow(**columns, t_d_bias_ms=signed_ms, normalised=normalised)
 
 
 def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors of each variant, over all angles and with t_d's at the worst angle.
-
-    `normalised_rms` is the root mean square of t_d's error over its stated deviation.
-    """
+    """Mean errors of each variant, over all angles, and t_d's at the worst angle."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         good = answered(group)
@@ -144,17 +138,14 @@ def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def study_figure(means: pd.DataFrame) -> Figure:
-    """Draw the variants' errors of t_d and R, from `variant_means`, one line each.
-
-    A bar is the mean over all flights, a tick t_d's mean at the worst angle; the method as it is
-    comes first, in black, and its mean is the dotted line. `joint` is left out: it is far off.
-    """
+    """Draw the variants' mean errors: t_d's at the worst angle as a tick, the method's in black."""
     variants = means[means["variant"] != JOINT]
     as_it_is = variants["variant"] == AS_IT_IS
-    colors = [method_looks(["tangency"])["tangency"].color if it else "0.65" for it in as_it_is]
+    colors = np.where(as_it_is, method_looks(["tangency"])["tangency"].color, "0.65")
     lines = np.arange(len(variants))
+    height_in = 1.4 + 0.22 * len(variants)
     title = "Mean errors (bars) of variants of tangency"
-    figure, (axes,) = panels(title, 1.4 + 0.22 * len(variants), columns=2, sharey=True)
+    figure, (axes,) = panels(title, height_in, columns=2, sharey=True)
     for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
         ax.grid(visible=False)
         ax.barh(lines, variants[error.column], color=colors, height=0.7)

@@ -33,7 +33,6 @@ from sim.seeds import generator
 from ssac.arrays import Array
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
 from ssac.methods.correlations import Signal, binned, counted, lags_of, zncc
@@ -85,9 +84,6 @@ class SignalRow(RunRow):
     slope_px: float = np.nan
 
 
-Agreement = dict[str, Any]  # how two signals correlate: the first three numbers of a `SignalRow`
-
-
 @dataclass
 class SignalFlight:
     """A flight, of which only what a signal needs is loaded."""
@@ -101,9 +97,9 @@ class SignalFlight:
         """What both cameras recorded, with frames."""
         folder = self.cache.recording_folder(self.sim, self.seed)
         cam1, cam2, rig = load_pair(folder)
-        named = (("cam1.h5", cam1), ("cam2.h5", cam2))
-        first, second = (_with_frames(camera, folder / file) for file, camera in named)
-        return Pair(first, second, rig)
+        return Pair(
+            _with_frames(cam1, folder / "cam1.h5"), _with_frames(cam2, folder / "cam2.h5"), rig
+        )
 
     @cached_property
     def chain(self) -> Chain:
@@ -113,7 +109,8 @@ class SignalFlight:
     @cached_property
     def modelled(self) -> tuple[dict[str, Signal], dict[str, Signal]]:
         """The modelled signals of both cameras."""
-        trajectory = flown(self.sim, self.seed)
+        # That which `simulate` flies.
+        trajectory = random_spline(self.sim.spline, generator(self.seed, TRAJECTORY_STREAM))
         cameras = look_at_rig((0.0, self.sim.angle_deg)).cameras
         first, second = (modelled_signals(trajectory, camera) for camera in cameras)
         return first, second
@@ -140,16 +137,17 @@ def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     seen = pair_figures(*flight.raw, t_d_s=0.0)
     if seen is None:
         return row
-    n_valid = float(seen.n_valid)
-    return replace(row, speed_px_s=seen.speed_px_s, n_valid=n_valid, slope_px=seen.slope_px)
+    return replace(
+        row, speed_px_s=seen.speed_px_s, n_valid=float(seen.n_valid), slope_px=seen.slope_px
+    )
 
 
-def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
+def rendered_agreement(signal: str, flight: SignalFlight) -> dict[str, Any]:
     """Correlate what both cameras recorded, as one of RENDERED_SIGNALS."""
-    if signal == RAW:
-        return of_estimate(flight.chain.under(Config(denoise=False)).estimate(ZNCC_E))
-    if signal in (ZNCC_E, ZNCC_F):
-        return of_estimate(flight.chain.estimate(signal))
+    if signal in (RAW, ZNCC_E, ZNCC_F):
+        chain = flight.chain.under(Config(denoise=False)) if signal == RAW else flight.chain
+        estimate = chain.estimate(ZNCC_E if signal == RAW else signal)
+        return _agreement(estimate.candidates_s, -estimate.costs)
     if signal == CHANGES:
         first, second = (_frame_changes(camera) for camera in flight.raw[:2])
         return agreement(first, second, FRAME_S)
@@ -162,11 +160,6 @@ def _rates(flight: SignalFlight, bin_s: float) -> tuple[Signal, Signal]:
         counted(flight.chain.clean(k).events["t"], round(bin_s * US_PER_S)) for k in range(2)
     )
     return first, second
-
-
-def flown(sim: SimConfig, seed: int) -> Trajectory:
-    """Draw the trajectory that `simulate` flies."""
-    return random_spline(sim.spline, generator(seed, TRAJECTORY_STREAM))
 
 
 def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal]:
@@ -197,16 +190,11 @@ def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal
     }
 
 
-def agreement(signal1: Signal, signal2: Signal, bin_s: float) -> Agreement:
+def agreement(signal1: Signal, signal2: Signal, bin_s: float) -> dict[str, Any]:
     """Correlate two signals over lags of +-1 s."""
     lags = lags_of(Config(), bin_s)
     curve = zncc(signal1, signal2, lags, _SIGNALS.min_overlap)
     return _agreement(bin_s * lags.astype(np.float64), curve)
-
-
-def of_estimate(estimate: Estimate) -> Agreement:
-    """Read the correlation at the true lag, and beside it, off a method's cost curve."""
-    return _agreement(estimate.candidates_s, -estimate.costs)
 
 
 def _frame_changes(camera: Observation) -> Signal:
@@ -220,7 +208,7 @@ def _frame_changes(camera: Observation) -> Signal:
     return binned(camera.frame_times_s[1:], np.array(changes), FRAME_S)
 
 
-def _agreement(lags_s: Array, curve: Array) -> Agreement:
+def _agreement(lags_s: Array, curve: Array) -> dict[str, Any]:
     return {
         "error_ms": 1e3 * abs(float(lags_s[np.nanargmax(curve)])),
         "at_truth": float(curve[np.argmin(np.abs(lags_s))]),
@@ -296,13 +284,21 @@ def signal_means(runs: pd.DataFrame) -> pd.DataFrame:
     measured = runs.drop(columns=["cell", "status", "reason", "flight", "seed"], errors="ignore")
     measured["gross_share"] = (runs["error_ms"] > GROSS_MS).astype(float)
     groups = measured.groupby(["source", "scene", "duration_s", "signal", "angle_deg"], sort=False)
-    table = groups.mean(numeric_only=True)
+    table = groups.mean(numeric_only=True).rename(columns={"error_ms": "error_ms_mean"})
     table.insert(0, "flights", groups.size())
     table.insert(2, "error_ms_std", groups["error_ms"].std(ddof=0))
-    result: pd.DataFrame = table.rename(columns={"error_ms": "error_ms_mean"}).reset_index()
-    return result
+    return table.reset_index()
 
 
+_CORRELATIONS = (
+    ("speed across the line of sight (model)", MODELLED, "speed", "at_truth"),
+    ("1 / distance squared (model)", MODELLED, "distance", "at_truth"),
+    ("event rate (model)", MODELLED, RATE, "at_truth"),
+    ("event rate, rendered: `zncc_e`", RENDERED, ZNCC_E, "at_truth"),
+    ("mean brightness of a frame: `zncc_f`", RENDERED, ZNCC_F, "at_truth"),
+    ("change from frame to frame", RENDERED, CHANGES, "at_truth"),
+    ("highest value elsewhere (event rate, model)", MODELLED, RATE, "elsewhere"),
+)
 _ANGLE_HEADER = [f"{angle:g} deg" for angle in ANGLES_DEG]
 
 
@@ -310,15 +306,7 @@ def correlation_table(results: Results) -> str:
     """Correlation of the two views at the true lag, default scene, 20 s."""
     rows = [
         [words, *(f"{value:.2f}" for value in _by_angle(results, source, signal, column))]
-        for words, source, signal, column in (
-            ("speed across the line of sight (model)", MODELLED, "speed", "at_truth"),
-            ("1 / distance squared (model)", MODELLED, "distance", "at_truth"),
-            ("event rate (model)", MODELLED, RATE, "at_truth"),
-            ("event rate, rendered: `zncc_e`", RENDERED, ZNCC_E, "at_truth"),
-            ("mean brightness of a frame: `zncc_f`", RENDERED, ZNCC_F, "at_truth"),
-            ("change from frame to frame", RENDERED, CHANGES, "at_truth"),
-            ("highest value elsewhere (event rate, model)", MODELLED, RATE, "elsewhere"),
-        )
+        for words, source, signal, column in _CORRELATIONS
     ]
     return markdown_table(["", *_ANGLE_HEADER], rows)
 

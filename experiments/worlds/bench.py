@@ -38,15 +38,9 @@ from ssac.track.observation import Observation
 
 COMMAND = "ssac physical"
 
+_FEWER = "Recordings at each point; fewer for a trial run."
 Recordings = Annotated[
-    int | None,
-    number(
-        "Recordings at each point; fewer for a trial run.",
-        1,
-        1000,
-        metavar="COUNT",
-        default_words="the study's",
-    ),
+    int | None, number(_FEWER, 1, 1000, metavar="COUNT", default_words="the study's")
 ]
 """Option of the command."""
 
@@ -155,19 +149,14 @@ KINDS = (NONE, *map(only, IMPERFECTIONS), *map(all_but, IMPERFECTIONS), ALL)
 
 def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
     """Give the bench without any imperfection: the drone hangs level before an even wall."""
-    return SetUp(
-        TwinConfig(
-            angle_deg=angle_deg,
-            spline=SplineConfig(duration_s=duration_s),
-            setup_seed=setup_seed,
-            turning=False,
-            textured=False,
-            sampling=SAMPLING,
-            render=RENDER,
-            sensor=SensorConfig(PRESET.sensor.threshold_on, PRESET.sensor.threshold_off),
-            effects=SensorEffects(illuminance_lux=PRESET.effects.illuminance_lux),
-        )
-    )
+    spline = SplineConfig(duration_s=duration_s)
+    sim = TwinConfig(
+        angle_deg=angle_deg, spline=spline, setup_seed=setup_seed, turning=False, textured=False,
+        sampling=SAMPLING, render=RENDER,
+        sensor=SensorConfig(PRESET.sensor.threshold_on, PRESET.sensor.threshold_off),
+        effects=SensorEffects(illuminance_lux=PRESET.effects.illuminance_lux),
+    )  # fmt: skip
+    return SetUp(sim)
 
 
 def bench_of(kind: str, angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
@@ -256,33 +245,25 @@ def physical_row(cell: PhysicalCell, flown: Flown) -> Row:
 PHYSICAL = Measure(load_physical, physical_row, Row)
 
 
+@lru_cache(32)
 def known_rig(bench: SetUp) -> Rig:
     """Give what is known of a bench: the intrinsics, and the pose that errors are measured against.
 
     What is not calibrated is the truth. A calibration is its set-up's: all recordings share it.
     """
-    same_for = replace(
-        bench.sim, spline=SplineConfig(), sensor=SensorConfig(), effects=SensorEffects(),
-        textured=False, turning=True,
-    )  # fmt: skip
-    return _known_rig(same_for, bench.calibration, bench.is_calibrated, bench.is_truth_calibrated)
-
-
-@lru_cache(32)
-def _known_rig(
-    sim: TwinConfig, config: CalibrationConfig, is_calibrated: bool, is_truth_calibrated: bool
-) -> Rig:
-    rig, cameras, known = bench_rig(sim), [], []
-    for index, camera in enumerate(rig.cameras):
-        one = exact(camera)
-        if is_calibrated:
-            rng = generator(sim.setup_seed, _INTRINSICS_STREAM, index)
-            one = calibrated_camera(camera, config, rng)
+    sim, config, known = bench.sim, bench.calibration, list[Camera]()
+    rig = bench_rig(sim)
+    cameras = [exact(camera) for camera in rig.cameras]
+    if bench.is_calibrated:
+        cameras = [
+            calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
+            for index, camera in enumerate(rig.cameras)
+        ]
+    for camera, one in zip(rig.cameras, cameras, strict=True):
         size, model = (camera.width, camera.height), camera.distortion_model
-        cameras.append(one)
         known.append(Camera(one.K, *size, model, one.distortion_coeffs, one.intrinsics_std_px))
     T_2_1 = rig.relative_pose(0, 1)
-    if is_truth_calibrated:
+    if bench.is_truth_calibrated:
         T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
     return Rig(known[0], known[1], T_2_1)
 

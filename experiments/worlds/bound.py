@@ -6,22 +6,15 @@ pose only by how far it is from p2' F p1 = 0, in units of the gradient of that p
 information is the sum of J_i J_i' / noise_i^2, J_i being the derivative of the Sampson distance.
 
 The positions are those of the true track of the drone's origin at the sample times that are valid
-in the recording, and the noise is white and as large as the one measured. A method that weighs its
-samples takes their noise as sigma over the weight, whose median is 1, and so does the bound: binned
-by their weight, the tangents' noise falls from 2.3 to 0.5 of its median as the weights say. Sigma
-is the robust standard deviation (1.4826 times the median absolute value) of the weighed Sampson
-distances of the method's own samples under the true offset and pose: distances of positions with
-noise of deviation sigma in every coordinate have the deviation sigma. It holds all that keeps a
-sample from the epipolar constraint: the sensor, the few events of a window, and the bias of what
-stands for the object.
+in the recording; for tangents it stands for the points where they touch, whose bound is 1 to 6 %
+lower. Sigma is the robust standard deviation (1.4826 times the median absolute value) of the
+weighed Sampson distances of the method's own samples under the true offset and pose, and the noise
+of a sample is sigma over its weight, whose median is 1.
 
-An efficiency below one has three causes. The bound takes the samples' errors as independent, but
-they are mostly a bias that turns with the object: neighbouring samples correlate by 0.7 to 0.85, so
-more of them lower the bound, but hardly the error. Errors far beyond the median count little in a
-robust deviation (a tenth of the tangents err by more than three of them). And a loss that bears
-these turns early, which costs some of the rest. One above one is chance: over ten flights a root
-mean square is uncertain by a fifth. For tangents the track of the origin stands for the points
-where they touch; the bound from those is 1 to 6 % lower.
+An efficiency below one has three causes: neighbouring samples' errors, mostly a bias that turns
+with the object, correlate by 0.7 to 0.85, and the bound takes them as independent; errors far
+beyond the median count little in a robust deviation; and a loss that bears these turns early. One
+above one is chance: over ten flights a root mean square is uncertain by a fifth.
 """
 
 import json

@@ -119,24 +119,21 @@ def drawn(base: int, flight: int, far: float = 0.5) -> OddCell:
     distance_m = round(_log_uniform(rng, *draw.distance_m), 1)
     size_px = round(_log_uniform(rng, *draw.size_px), 1)
     sensor = str(rng.choice(draw.sensors))
-    preset = None if sensor == IDEAL else sensor_preset(sensor)
     sim = SimConfig(
-        angle_deg=angle_deg,
-        t_d_s=_offset_s(rng, far if draw.far is None else draw.far),
+        angle_deg=angle_deg, t_d_s=_offset_s(rng, far if draw.far is None else draw.far),
         spline=_spline(rng, duration_s, distance_m, size_px),
-        drone_size_m=round(size_px * distance_m / draw.focal_px, 3),
-        distance_m=distance_m,
-        focal_px=draw.focal_px,
-        frames=FrameConfig(rate_hz=0.0),
-    )
-    if preset is not None:
+        drone_size_m=round(size_px * distance_m / draw.focal_px, 3), distance_m=distance_m,
+        focal_px=draw.focal_px, frames=FrameConfig(rate_hz=0.0),
+    )  # fmt: skip
+    if sensor != IDEAL:
+        preset = sensor_preset(sensor)
         sim = replace(sim, sensor=preset.sensor, effects=preset.effects)
     skew_ppm = SKEW_STD_PPM * rng.standard_normal()
     if draw.skew_ppm is not None:
         skew_ppm = _log_uniform(rng, *draw.skew_ppm) * rng.choice((-1.0, 1.0))
     calibration = CALIBRATIONS[rng.integers(len(CALIBRATIONS))]
     spoilt = Kind("", DisturbConfig(intrinsics_error=calibration), skew_ppm=round(skew_ppm, 1))
-    spoilt, words = _SPOILS.get(kind, _not_spoilt)(spoilt, rng, duration_s)
+    spoilt, words = _SPOILS[kind](spoilt, rng, duration_s) if kind in _SPOILS else (spoilt, "")
     seed = flight_seed(duration_s, angle_deg, flight, base)
     return OddCell(sim, flight, seed, base, kind, sensor, size_px, spoilt, words)
 
@@ -163,10 +160,6 @@ def _spline(rng: Rng, duration_s: float, distance_m: float, size_px: float) -> S
         smoothing=plain.smoothing * slowness**3, multiplier_xyz_m=(x, y, z),
         max_radius_m=spread * plain.max_radius_m,
     )  # fmt: skip
-
-
-def _not_spoilt(kind: Kind, rng: Rng, duration_s: float) -> tuple[Kind, str]:
-    return kind, ""
 
 
 def _cluttered(kind: Kind, rng: Rng, duration_s: float) -> tuple[Kind, str]:

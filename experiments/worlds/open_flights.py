@@ -1,29 +1,42 @@
-"""Flights that leave the offset or the pose open, in part or in whole, and ordinary ones.
+"""Flights that leave the offset or the pose open, and recordings that cannot be answered.
 
 The drone turns as in ordinary flights, but four times as fast where its path alone makes too few
 events to matter.
+
+A recording cannot be answered for one cause, which says what the drone does, how long, what spoils
+the recording and what would mend it; the angle and all that is drawn are given by the cell. Flights
+are simulated where events matter; else they are projected, as tracks of points in a camera and
+another one of other intrinsics.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.score import Truth
+from experiments.worlds.spoilt import ORDINARY, KindCell
+from sim.disturb import merged
+from sim.recorded import Drift, Jump
 from sim.recording import SimConfig
+from sim.scene.rig import FOCAL_PX, two_view_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import Array
-from ssac.camera import Rig, known_pose
+from ssac.camera import Camera, Rig, known_pose
 from ssac.config import Config
-from ssac.track.observation import Observation
+from ssac.estimate import Status
+from ssac.points import PointTrack
+from ssac.track.observation import Observation, tracked
 
+Rng = np.random.Generator
 Position = Callable[[Array], Array]  # (n,) [s] -> (n, 3) [m], world frame
 
 T_D_S = 0.05
@@ -49,35 +62,35 @@ class OpenCase:
     truth: Truth  # its offset is NaN where the cameras saw different objects: any is wrong
 
 
-def _random_direction(rng: np.random.Generator) -> Array:
+def _random_direction(rng: Rng) -> Array:
     direction = rng.normal(size=3)
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _frame(rng: np.random.Generator) -> Array:
+def _frame(rng: Rng) -> Array:
     """Three random orthogonal unit vectors (3, 3), one per row."""
     return np.asarray(np.linalg.qr(rng.normal(size=(3, 3)))[0].T)
 
 
-def _stationary(rng: np.random.Generator) -> Position:
+def _stationary(rng: Rng) -> Position:
     place = rng.uniform(-0.7, 0.7, 3)
     return lambda times_s: np.tile(place, (len(times_s), 1))
 
 
-def _straight(rng: np.random.Generator) -> Position:
+def _straight(rng: Rng) -> Position:
     """Draw a straight line, along which the speed varies as in an ordinary flight."""
     path = random_spline(SplineConfig(DURATION_S), rng).position
     direction, middle = _random_direction(rng), rng.uniform(-0.4, 0.4, 3)
     return lambda times_s: middle + 1.3 * path(times_s)[:, :1] * direction
 
 
-def _straight_uniform(rng: np.random.Generator) -> Position:
+def _straight_uniform(rng: Rng) -> Position:
     """Draw a straight line at one speed, 6.4 m in all; a part of it is in view."""
     direction, middle = _random_direction(rng), rng.uniform(-0.4, 0.4, 3)
     return lambda times_s: middle + 0.8 * (times_s - 0.5 * DURATION_S)[:, None] * direction
 
 
-def _circle(rng: np.random.Generator, rise_m: float = 0.0) -> Position:
+def _circle(rng: Rng, rise_m: float = 0.0) -> Position:
     (a, b, axis), middle = _frame(rng), rng.uniform(-0.3, 0.3, 3)
     radius_m, period_s, phase = rng.uniform(0.8, 1.5), rng.uniform(1.5, 4.0), rng.uniform(0.0, 6.0)
 
@@ -89,13 +102,13 @@ def _circle(rng: np.random.Generator, rise_m: float = 0.0) -> Position:
     return position
 
 
-def _planar(rng: np.random.Generator) -> Position:
+def _planar(rng: Rng) -> Position:
     path = random_spline(SplineConfig(DURATION_S), rng).position
     plane, middle = _frame(rng)[:2], rng.uniform(-0.4, 0.4, 3)
     return lambda times_s: middle + 1.2 * path(times_s)[:, :2] @ plane
 
 
-def _periodic(rng: np.random.Generator) -> Position:
+def _periodic(rng: Rng) -> Position:
     """Draw a closed path of three harmonics, flown again and again."""
     period_s = rng.uniform(0.7, 0.95)
     waves = rng.normal(size=(3, 2, 3)) * np.array([0.75, 0.35, 0.2])[:, None, None]
@@ -107,7 +120,7 @@ def _periodic(rng: np.random.Generator) -> Position:
     return position
 
 
-PATHS: dict[str, Callable[[np.random.Generator], Position]] = {
+PATHS: dict[str, Callable[[Rng], Position]] = {
     "stationary": _stationary, "straight": _straight, "straight-uniform": _straight_uniform,
     "circle": _circle, "helix": lambda rng: _circle(rng, rise_m=2.0), "planar": _planar,
     "periodic": _periodic,
@@ -183,3 +196,247 @@ def _shortened(camera: Observation) -> Observation:
     middle_us = (camera.events["t"][0] + camera.events["t"][-1]) // 2
     near = np.abs(camera.events["t"] - middle_us) < 0.5e6 * _SHORT_S
     return Observation(camera.events[near])
+
+
+# --- Recordings that cannot be answered, each for one cause ---
+
+
+Spoil = Callable[["Scene", OpenCase, Rng], OpenCase]
+
+LONG_S = 12.0
+MOST_T_D_S = 20.0  # of tracks, of which all offsets are searched
+RATE_HZ, SIGMA_PX = 60.0, 0.3  # of tracks
+OTHER_K = np.array([[1.3 * FOCAL_PX, 0.0, 185.0], [0.0, 1.3 * FOCAL_PX, 118.0], [0.0, 0.0, 1.0]])
+_TRACK_STREAM, _SPOIL_STREAM, _JUMP_STREAM = 21, 22, 23  # of the seed
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Why a recording cannot be answered, and which refusals say so."""
+
+    named_by: tuple[Status, ...]
+    words: str  # an expression that is found in a true reason
+    spoil: Spoil = lambda scene, case, rng: case
+    path: str = ORDINARY
+    duration_s: float = DURATION_S
+    of_events: bool = False
+    method: str = ""  # the best one, unless it is named
+    mended_by: str = ""  # the advice after which nothing is spoilt any more
+    scale: float = 1.0  # of the path
+    config: Config = field(default_factory=Config)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A flight before two cameras: as a cause has it, or as an advice changes it."""
+
+    cause: Cause
+    cell: KindCell
+    cache: Cache
+
+    def made(self) -> OpenCase:
+        """Record the flight, and spoil what was recorded."""
+        return self.cause.spoil(self, self.plain(), generator(self.cell.seed, _SPOIL_STREAM))
+
+    def plain(self, other: bool = False) -> OpenCase:
+        """Record the flight, or another one before the same cameras, and spoil nothing."""
+        seed = self.cell.other_seed if other else self.cell.seed
+        pair, t_d_s = self._filmed(seed) if self.cause.of_events else self._tracked(seed)
+        return OpenCase(*pair, self.cause.config, Truth(t_d_s, *known_pose(pair.rig)))
+
+    def changed(self, **fields: Any) -> "Scene":
+        """Give another flight, or one that is recorded otherwise."""
+        return replace(self, cause=replace(self.cause, **fields))
+
+    def _filmed(self, seed: int) -> tuple[Pair, float]:
+        cause = self.cause
+        config = flight_config(cause.path, self.cell.sim.angle_deg)
+        spline = replace(config.spline, duration_s=cause.duration_s)
+        config = replace(config, spline=spline, t_d_s=T_D_S)
+        if cause.path in PATHS:
+            return flight_of(cause.path, config, seed, self.cache), T_D_S
+        return recorded_pair(self.cache, config, seed), T_D_S
+
+    def _tracked(self, seed: int) -> tuple[Pair, float]:
+        cause, rng = self.cause, generator(seed, _PATH_STREAM)
+        spline = replace(self.cell.sim.spline, duration_s=cause.duration_s)
+        has_own = cause.path in PATHS
+        path = PATHS[cause.path](rng) if has_own else random_spline(spline, rng).position
+        rig, rng = two_view_rig(self.cell.sim.angle_deg), generator(seed, _TRACK_STREAM)
+        t_d_s = float(rng.uniform(-MOST_T_D_S, MOST_T_D_S))
+        cameras = rig.cameras[0], replace(rig.cameras[1], K=OTHER_K)
+        seen = []
+        for camera, first_s in zip(cameras, (0.0, t_d_s), strict=True):
+            n = int(RATE_HZ * cause.duration_s)
+            times_s = (np.arange(n, dtype=np.float64) + rng.uniform(0.0, 1.0)) / RATE_HZ
+            points_px = camera.project(cause.scale * path(times_s))
+            points_px = points_px + SIGMA_PX * rng.standard_normal(points_px.shape)
+            most = np.array([camera.width, camera.height]) - 1
+            inside = np.all((points_px >= 0) & (points_px <= most), axis=1)
+            seen.append(tracked(PointTrack(first_s + times_s[inside], points_px[inside])))
+        cam1, cam2 = (Camera(one.K, one.width, one.height) for one in cameras)
+        return Pair(seen[0], seen[1], Rig(cam1, cam2, rig.relative_pose(0, 1))), t_d_s
+
+
+def cut(seen: Observation, from_s: float, to_s: float) -> Observation:
+    """Keep what a camera recorded from one instant of its clock up to another."""
+    events, track = seen.events, seen.track
+    events = events[(events["t"] >= 1e6 * from_s) & (events["t"] < 1e6 * to_s)]
+    if track is not None:
+        inside = (track.times_s >= from_s) & (track.times_s < to_s)
+        track = PointTrack(track.times_s[inside], track.points_px[inside])
+    return replace(seen, events=events, track=track)
+
+
+def _later(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let camera 2's clock show up to a minute more."""
+    late_s = float(np.round(rng.uniform(20.0, 60.0), 3))
+    truth = replace(case.truth, t_d_s=case.truth.t_d_s + late_s)
+    return replace(case, cam2=case.cam2.delayed(late_s), truth=truth)
+
+
+def _elsewhere(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Ask for an interval that the true offset is 1 to 4 s beyond."""
+    beyond_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(2.0, 5.0))
+    middle_s = case.truth.t_d_s + beyond_s
+    return replace(case, config=replace(case.config, interval_s=(middle_s - 1.0, middle_s + 1.0)))
+
+
+def _of_others(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let camera 2 see another flight."""
+    return replace(case, cam2=scene.plain(other=True).cam2, truth=replace(case.truth, t_d_s=np.nan))
+
+
+def _convoy(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let a second drone follow the first on its path, 0.3 to 0.6 s later."""
+    late_s = float(rng.uniform(0.3, 0.6))
+    cam1, cam2 = (
+        Observation(merged(one.events, one.delayed(late_s).events))
+        for one in (case.cam1, case.cam2)
+    )
+    return replace(case, cam1=cam1, cam2=cam2)
+
+
+def _jumping(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let camera 2's clock jump somewhere in the middle."""
+    return _drifting(case, Drift(jump=jump_of(scene)))
+
+
+def jump_of(scene: Scene) -> Jump:
+    """Draw when a clock jumps, in the middle 0.4 of a recording, and by how much."""
+    rng = generator(scene.cell.seed, _JUMP_STREAM)
+    by_s = (0.008, 0.04) if scene.cause.of_events else (0.05, 0.3)
+    at_s = float(rng.uniform(0.3, 0.7) * scene.cause.duration_s)
+    return at_s, float(rng.uniform(*by_s))
+
+
+def _drifting(case: OpenCase, drift: Drift) -> OpenCase:
+    cam2, t_d_s = case.cam2.delayed(-case.truth.t_d_s), case.truth.t_d_s
+    events, track = cam2.events.copy(), cam2.track
+    events["t"] += drift.added_us(events["t"])
+    if track is not None:
+        times_us = np.rint(1e6 * track.times_s).astype(np.int64)
+        times_s = (times_us + drift.added_us(times_us)).astype(np.float64) / 1e6
+        track = replace(track, times_s=times_s)
+    return replace(case, cam2=replace(cam2, events=events, track=track).delayed(t_d_s))
+
+
+def _at_other_rate(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let camera 2's clock run 2 to 5 % fast."""
+    ppm, middle_s = float(rng.uniform(2e4, 5e4)), 0.5 * scene.cause.duration_s
+    made = _drifting(case, Drift(ppm, middle_s))
+    return replace(made, truth=replace(case.truth, skew_ppm=ppm, t_mid_s=middle_s))
+
+
+def _apart(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let each camera record another half of the flight."""
+    half_s, t_d_s = 0.5 * scene.cause.duration_s, case.truth.t_d_s
+    cam1, cam2 = cut(case.cam1, 0.0, half_s), cut(case.cam2, half_s + t_d_s, np.inf)
+    return replace(case, cam1=cam1, cam2=cam2, truth=replace(case.truth, t_d_s=np.nan))
+
+
+def _wrong_focal(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Give one camera a focal length that is half or double, or worse."""
+    cameras, index = [case.rig.cam1, case.rig.cam2], int(rng.integers(2))
+    K, factor = cameras[index].K.copy(), float(rng.uniform(2.0, 4.0))
+    K[[0, 1], [0, 1]] *= factor ** float(rng.choice((-1.0, 1.0)))
+    cameras[index] = Camera(K, cameras[index].width, cameras[index].height)
+    return replace(case, rig=Rig(cameras[0], cameras[1], case.rig.T_2_1))
+
+
+def exchanged(case: OpenCase) -> OpenCase:
+    """Exchange the intrinsics of the cameras in the rig."""
+    return replace(case, rig=Rig(case.rig.cam2, case.rig.cam1, case.rig.T_2_1))
+
+
+def inverted(case: OpenCase) -> OpenCase:
+    """Give the inverse of the rig's transform."""
+    assert case.rig.T_2_1 is not None
+    inverse = np.linalg.inv(case.rig.T_2_1).astype(np.float64)
+    return replace(case, rig=replace(case.rig, T_2_1=inverse))
+
+
+_NOT_THERE = (
+    Status.NO_MATCH, Status.SEARCH_BOUND, Status.TOO_LITTLE_MOTION, Status.AMBIGUOUS_OFFSET,
+)  # fmt: skip
+_UNLIKE = (Status.NO_MATCH, Status.AMBIGUOUS_OFFSET, Status.POOR_FIT)
+_TOO_SHORT = (Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION, Status.AMBIGUOUS_OFFSET)
+_MISFIT = (Status.POOR_FIT, Status.NO_MATCH, Status.NO_CONVERGENCE)
+_OPEN_POSE = (Status.DEGENERATE_POSE, Status.AMBIGUOUS_POSE)
+
+CAUSES: dict[str, Cause] = {
+    "at rest": Cause((Status.NO_MOTION,), "at rest", path="stationary", of_events=True),
+    "at rest, tracks": Cause((Status.NO_MOTION,), "at rest", path="stationary"),
+    "no common time in the interval": Cause(
+        (Status.NO_COMMON_TIME,), "no common time", _later, of_events=True,
+        config=Config(interval_s=(-1.0, 1.0)),
+    ),
+    "outside the interval": Cause(_NOT_THERE, "outside the search", _elsewhere, of_events=True),
+    "outside the interval, tracks": Cause(_NOT_THERE, "outside the search", _elsewhere),
+    "brief": Cause(
+        _TOO_SHORT, "to and fro|needed|enough|hardly tells", duration_s=0.5, of_events=True
+    ),
+    "short": Cause(
+        _TOO_SHORT[1:], "to and fro|too little of one flight", duration_s=1.5, of_events=True
+    ),
+    "short, tracks": Cause(
+        _TOO_SHORT, "to and fro|long enough|too little of one flight", duration_s=1.5
+    ),
+    "slow": Cause((Status.TOO_LITTLE_MOTION,), "to and fro", path="slow", of_events=True),
+    "different objects": Cause(
+        _UNLIKE, "different objects", _of_others, of_events=True, mended_by="record one flight"
+    ),
+    "different objects, tracks": Cause(
+        (*_UNLIKE, Status.TOO_LITTLE_MOTION), "different objects", _of_others,
+        mended_by="record one flight",
+    ),
+    "nothing common": Cause(
+        (*_UNLIKE, Status.TOO_LITTLE_MOTION), "too little of one flight|objects", _apart,
+        duration_s=LONG_S, mended_by="record one flight",
+    ),
+    "convoy": Cause(
+        (Status.SEVERAL_OBJECTS,), "", _convoy, of_events=True, mended_by="record one object"
+    ),
+    "clock jumps": Cause(
+        (Status.CLOCK_JUMP,), "jumps", _jumping, duration_s=LONG_S, of_events=True
+    ),
+    "clock jumps, tracks": Cause((Status.CLOCK_JUMP,), "jumps", _jumping, duration_s=LONG_S),
+    "other rate": Cause(
+        (*_UNLIKE, Status.CLOCK_JUMP), "rate of its own", _at_other_rate, of_events=True
+    ),
+    "wrong focal length": Cause(
+        _MISFIT[:2], "focal length|calibrat", _wrong_focal, mended_by="calibrate again"
+    ),
+    "exchanged cameras": Cause(_MISFIT, "exchange", lambda scene, case, rng: exchanged(case)),
+    "inverse transform": Cause(
+        _MISFIT, "inverse", lambda scene, case, rng: inverted(case), method="joint-known"
+    ),
+    "uniform line": Cause((Status.AMBIGUOUS_OFFSET,), "line", path="straight-uniform"),
+    "circle": Cause((Status.AMBIGUOUS_OFFSET,), "circle", path="circle"),
+    "helix": Cause((Status.AMBIGUOUS_OFFSET,), "helix", path="helix"),
+    "periodic": Cause((Status.AMBIGUOUS_OFFSET,), "repeats", path="periodic"),
+    "straight": Cause(_OPEN_POSE, "line", path="straight"),
+    "planar": Cause(_OPEN_POSE, "plane", path="planar"),
+    "small": Cause(_OPEN_POSE, "leaves the pose open", scale=0.05),
+}  # fmt: skip
+"""Why recordings cannot be answered."""

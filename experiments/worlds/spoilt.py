@@ -71,11 +71,10 @@ def kind_cells(
     cell: type[AnyKindCell],
 ) -> list[AnyKindCell]:
     """List every method on every kind that is made of a flight; the other flight comes second."""
-    seed, other_seed = (
-        flight_seed(sim.spline.duration_s, sim.angle_deg, flight) for flight in flights
-    )
-    of_flight = (sim, flights[0], seed)
-    return [cell(*of_flight, kind, other_seed, method) for kind in kinds for method in methods]
+    seed, other = (flight_seed(sim.spline.duration_s, sim.angle_deg, one) for one in flights)
+    return [
+        cell(sim, flights[0], seed, kind, other, method) for kind in kinds for method in methods
+    ]
 
 
 @dataclass(frozen=True)
@@ -102,9 +101,8 @@ def _scenes() -> dict[str, SimConfig]:
     """List what is filmed and by which sensor; a size is that in the middle of the flight."""
     plain = SimConfig(t_d_s=T_D_S, spline=SplineConfig(DURATION_S), frames=FrameConfig(rate_hz=0.0))
     x, y, z = (_NEAR * multiplier for multiplier in plain.spline.multiplier_xyz_m)
-    near = replace(
-        plain.spline, multiplier_xyz_m=(x, y, z), max_radius_m=_NEAR * plain.spline.max_radius_m
-    )
+    radius_m = _NEAR * plain.spline.max_radius_m
+    near = replace(plain.spline, multiplier_xyz_m=(x, y, z), max_radius_m=radius_m)
     noisy = replace(plain, sensor=PRESETS["davis346"])
     return {
         ORDINARY: plain,

@@ -231,12 +231,9 @@ def _t_ref_s(result: Answer) -> float:
 def _pair_row(one: DataSet, pair: Pair) -> Row:
     result, (i, j) = one.pairs[pair], pair
     estimate, t_ref_s = result.estimate, _t_ref_s(result)
-    has_offset, readouts = estimate.has_offset, (estimate.readouts_s, estimate.readouts_std_s)
-    (readout_1_s, readout_2_s), (std_1_s, std_2_s) = readouts
+    from_truth_ms = one.off_truth_ms(pair, estimate.t_d_s, t_ref_s)
     return {
-        "data_set": one.number,
-        "camera_1": i,
-        "camera_2": j,
+        **dict(zip(PAIR_COLUMNS, (one.number, i, j), strict=False)),
         "models": f"{one.cameras[i].model} {one.cameras[j].model}",
         "status": str(estimate.status),
         "clock": result.config.clock,
@@ -246,12 +243,15 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
         "skew_ppm": estimate.skew_ppm,
         "skew_std_ppm": estimate.skew_std_ppm,
         "most_stray_ms": float(np.max(1e3 * np.abs(estimate.strays_s), initial=0.0)),
-        **{"readout_1_ms": 1e3 * readout_1_s, "readout_1_std_ms": 1e3 * std_1_s},
-        **{"readout_2_ms": 1e3 * readout_2_s, "readout_2_std_ms": 1e3 * std_2_s},
+        **{
+            f"readout_{k}_{what}ms": 1e3 * seconds[k - 1]
+            for k in (1, 2)
+            for what, seconds in (("", estimate.readouts_s), ("std_", estimate.readouts_std_s))
+        },
         "residual_px": estimate.d_avg_px,
         "n_samples": estimate.n_samples,
         "reason": estimate.reason,
-        "from_truth_ms": one.off_truth_ms(pair, estimate.t_d_s, t_ref_s) if has_offset else np.nan,
+        "from_truth_ms": from_truth_ms if estimate.has_offset else np.nan,
         "seconds": round(one.seconds[pair], 1),
         **_effect_of_readouts(result),
     }
@@ -294,19 +294,15 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
     if in_time is None:
         raise SsacError(f"data set {one.number}: the path and RTK have times, but share none")
     placed = [camera for camera in answer.cameras if camera.status == Status.OK]
-    distances_m, clock = in_time.distances_m, in_time.clock
+    figures = in_time.figures()
     row = {
         "data_set": one.number,
         "cameras": len(placed),
         "left_out": " ".join(answer.left_out),
-        "rmse_m": in_time.rmse_m,
-        "mean_m": float(np.mean(distances_m)),
-        "median_m": float(np.median(distances_m)),
-        "max_m": float(np.max(distances_m)),
-        "n_rtk": len(distances_m),
-        "coverage": in_time.coverage,
-        **{"shift_s": clock.t_d_s, "rate_ppm": clock.skew_ppm},
-        "scale_m": in_time.similarity.scale,
+        **{name: figures[name] for name in PATH_COLUMNS if name in figures},
+        "mean_m": float(np.mean(in_time.distances_m)),
+        "n_rtk": figures["n_samples"],
+        "scale_m": figures["scale"],
         "most_from_truth_ms": _most_off_ms(one, answer),
         "rms_px": float(np.median([camera.rms_px for camera in placed])),
         **{"pairs_s": round(sum(one.seconds.values()), 1), "network_s": round(network_s, 1)},

@@ -10,13 +10,8 @@ from typer.testing import CliRunner
 
 from experiments.cli import app
 from experiments.lab import study as lab
-from experiments.lab.cache import Cache
-from experiments.lab.files import SUMS_FILE
-from experiments.lab.grid import grid_from_content
-from experiments.lab.schedule import Outcome, Workers
-from experiments.lab.study import save_study
+from experiments.lab.schedule import Outcome
 from experiments.paper.quantities import ERRORS
-from experiments.studies import ablations
 from experiments.studies.ablations import ABLATIONS, ablation_table, points_figure, points_table
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError
@@ -118,34 +113,6 @@ def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
         CliRunner().invoke(app, ["ablate", "windows"], catch_exceptions=False)
     assert {"window", "n_min", "samples", "contrast", "noise", "size", "speed"} <= set(ABLATIONS)
-
-
-@pytest.mark.render
-def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path: Path) -> None:
-    sim = {
-        "spline": {"duration_s": 3.0}, "frames": {"rate_hz": 0.0},
-        "render": {"lattice": {"a": 4}}, "sampling": {"max_step_px": 0.5},
-    }  # fmt: skip
-    content = {
-        "flights": 1,
-        "first_flight": 1,  # the first of these short ones moves too little
-        "methods": ["ssac", "ssac-known"],
-        "search_around_truth_s": [-0.1, 0.1],
-        "fixed": {"sim": sim, "ssac": {"trials": 200}},
-        # No window holds a million events, so that value has nothing but failures.
-        "grid": {"sim": {"angle_deg": [90]}, "ssac": {"n_min": [100, 1000000]}},
-        "figure": {"x": "ssac.n_min", "label": "events", "log": True},
-    }
-    study = ablations.ablation_study(grid_from_content("ablation_tiny", content))
-    outcome, _ = save_study(study, tmp_path, Cache(tmp_path / "cache"), Workers(1))
-    assert outcome.n_crashed == 0
-    table = pd.read_csv(tmp_path / "ablation_tiny.csv")
-    assert list(table["ssac.n_min"]) == [100, 100, 1000000, 1000000]
-    assert list(table["failed"]) == [0, 0, 1, 1]
-    # 3 s of a coarse flight: an estimate is within a few ms, or something is wrong.
-    assert (table["t_d_error_ms_mean"].dropna() < 10.0).all()
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {*study.files, *study.provenances, SUMS_FILE, "cache"}
 
 
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:

@@ -9,9 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
-from experiments.studies import network, network_growth
-from experiments.studies.network import ANGLE_DEG, N_CAMERAS, FourCameras
-from experiments.studies.network_growth import FRAMES_HZ, NOISE_PX, GrowthCell, write_tracks
+from experiments.studies import network
+from experiments.studies.network import (
+    ANGLE_DEG,
+    FRAMES_HZ,
+    N_CAMERAS,
+    NOISE_PX,
+    FourCameras,
+    GrowthCell,
+    write_tracks,
+)
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
 from ssac.clock import Clock
@@ -100,12 +107,12 @@ def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path: Pa
 
 
 def test_a_flight_before_many_cameras_is_solved_and_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network_growth, "N_CAMERAS", 4)  # six pairs, not 28
-    row = network_growth.growth_row(GrowthCell(20.0), None)
+    monkeypatch.setattr(network, "N_FRAME_CAMERAS", 4)  # six pairs, not 28
+    row = network.growth_row(GrowthCell(20.0), None)
     assert row.status == "ok", row.reason
     assert 0.0 < row.network_s < row.wall_s
     # 20 s before four cameras state 0.2 ms and some mm; five times as much.
     assert row.t_d_error_ms < 2.0
     assert row.path_rmse_m < 0.05
-    (study,) = network_growth.STUDIES
+    (study,) = network.GROWTH
     assert set(study.runs.columns) <= {*GrowthCell(20.0).columns, *vars(row)}

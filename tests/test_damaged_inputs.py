@@ -1,0 +1,225 @@
+"""Files of all kinds, damaged anywhere: refused in one line, read whole, or read with a warning.
+
+`make fuzz` tries thousands of damages of each kind, here a few. A crash of a compiled reader ends
+the whole run.
+"""
+
+import json
+import re
+import resource
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from trimesh.creation import box
+
+from experiments.lab.bridge import check_mesh
+from experiments.lab.cache import BRIGHTNESS_CODE, Cache, row_of_text, text_of_row
+from experiments.lab.grid import CONFIGS, load_config
+from experiments.worlds.bound import load_truth
+from sim.errors import SimError
+from sim.scene.trajectory import trajectory_from_csv
+from ssac.errors import SsacError
+from ssac.files.damage import STRICT, Reading
+from ssac.files.event_files import load_events
+from ssac.files.rigs import load_rig
+from ssac.files.track_files import load_track, save_track
+from ssac.points import PointTrack
+from tests.recorded import kalibr_with_pose
+from tests.ssac.files.test_event_files import FORMS, random_events
+
+MAX_SILENT = 0.005
+"""Share of the damages by which events may be lost unseen: a changed bit can make another event."""
+
+MAX_BYTES = 2 << 30
+"""Of memory, beyond what there was at the start."""
+
+WITHOUT_END = (".raw", ".dat", ".es", ".txt", ".csv")  # one that is cut is a shorter recording
+TEXT = (".txt", ".csv", ".yaml", ".toml", ".obj", ".json")
+WORD = re.compile(rb"[^\s,:=\[\]{}]+")
+NASTY_WORDS = (
+    b"nan", b"inf", b"-inf", b"-1", b"0", b"1e400", b"9" * 30, b"9" * 5000, b"4294967296", b"",
+    b"[]", b"{}", b"'", b'"', b"\0", b"\xff", b"true", b"null", b"~", b"1e-3", b"0x10", b"[[1]]",
+    b"<script>", b"../../etc/passwd", b"!!python/object/apply:os.getcwd []", b"&a [*a]", b"*b",
+    b"[" * 3000, b"1979-05-27", b"\xef\xbb\xbf", b"=", b":", b"\n", b"\r", b"\t", b"#",
+)  # fmt: skip
+IN_HDF5 = ("events", "events/t", "events/x", "events/y", "events/p", "CD/events", "t_offset")
+IN_PLACE_OF_DATA = (
+    None, 5, "", np.nan, 1 << 40, np.full(3000, np.nan), np.array(["a"] * 3000, "S3"),
+    np.zeros((3000, 2), np.int64), h5py.Empty("i8"), h5py.SoftLink("/events"),
+    h5py.ExternalLink("elsewhere.h5", "/x"), h5py.VirtualLayout((3000,), np.int64),
+)  # fmt: skip
+DECLARED = (10**6, 4 * 10**8, 4 * 10**9, 10**15)  # events, of which none is stored
+SIZES = (
+    "346,260", "wide", b"\xff\xfe", "", "1e9x1e9", -1, 0, 1 << 40, 3.7, np.nan, np.inf, [346, 260],
+    np.zeros((2, 2)), h5py.Empty("f"), "346x260x3", "<script>",
+)  # fmt: skip
+
+
+@st.composite
+def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
+    """Change a copy of a file; its start, where headers stand, as often as all else."""
+    n = len(whole)
+    places = st.integers(0, min(n, 1000) - 1) | st.integers(0, n - 1)
+    at = draw(places)
+    end = at + draw(st.integers(1, max(1, min(4096, n // 5))))
+    few = st.binary(min_size=1, max_size=16)
+    if is_text and draw(st.booleans()):
+        words = [one.span() for one in WORD.finditer(whole)]
+        lines = whole.splitlines(keepends=True)
+        k = draw(st.integers(0, len(lines) - 1))
+        start, stop = draw(st.sampled_from(words))
+        changed_line = draw(st.sampled_from(([], [lines[k]] * 2, lines[k : k + 2][::-1])))
+        return draw(
+            st.sampled_from(NASTY_WORDS).map(lambda word: whole[:start] + word + whole[stop:])
+            | st.just(b"".join([*lines[:k], *changed_line, *lines[k + len(changed_line or "-") :]]))
+        )
+    return draw(
+        st.lists(st.tuples(places, st.integers(0, 7)), min_size=1, max_size=8).map(
+            lambda bits: flipped(whole, bits)
+        )
+        | few.map(lambda inserted: whole[:at] + inserted + whole[at:])
+        | few.map(lambda removed: whole[:at] + whole[at + len(removed) :])
+        | (st.sampled_from((b"\0", b"\xff")) | few).map(
+            lambda fill: whole[:at] + (4096 * fill)[: len(whole[at:end])] + whole[end:]
+        )
+        | st.just(whole[:end] + whole[at:])
+        | st.just(whole[: max(at, 1)])
+    )
+
+
+def flipped(whole: bytes, bits: list[tuple[int, int]]) -> bytes:
+    changed = bytearray(whole)
+    for at, bit in bits:
+        changed[at] ^= 1 << bit
+    return bytes(changed)
+
+
+def restructure(draw: st.DrawFn, path: Path) -> None:
+    """Put something else in the place of a dataset, or of the size, of an HDF5 file."""
+    with h5py.File(path, "a") as file:
+        name = draw(st.sampled_from([name for name in IN_HDF5 if name in file]))
+        what = draw(st.sampled_from(("size", "data", "declared")))
+        if what == "size":
+            key = draw(st.sampled_from(("geometry", "width", "height")))
+            file.attrs[key] = draw(st.sampled_from(SIZES))
+            return
+        dtype = getattr(file[name], "dtype", np.int64)
+        del file[name]
+        if what == "declared":
+            chunks = draw(st.sampled_from((None, (100_000,))))
+            file.create_dataset(name, (draw(st.sampled_from(DECLARED)),), dtype, chunks=chunks)
+            return
+        value = draw(st.sampled_from(IN_PLACE_OF_DATA))
+        if isinstance(value, h5py.VirtualLayout):
+            file.create_virtual_dataset(name, value)
+        elif value is not None:
+            file[name] = value
+
+
+Write = Callable[[Path], object]
+Use = Callable[[Path], object]  # gives how many events or points there are, or anything
+
+
+TIMES_S = np.arange(250) / 25.0
+POINTS_PX = np.column_stack([100.0 + 10.0 * TIMES_S, 130.0 + 5.0 * np.sin(TIMES_S)])
+TRUTH = {
+    "times_s": TIMES_S.tolist(),
+    "drone_position_W_m": np.column_stack([POINTS_PX, TIMES_S]).tolist(),
+    "cameras": {name: {"T_C_W": np.eye(4).tolist()} for name in ("cam1", "cam2")},
+}
+FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
+    f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)
+)
+ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
+MEANS = {"cam1": np.arange(50) / 50.0, "times1_us": np.arange(50)}
+
+
+def text(content: str) -> Write:
+    return lambda path: path.write_text(content, encoding="utf-8")
+
+
+def use_row(path: Path) -> None:
+    assert row_of_text(path.read_bytes()) in (None, ROW)
+
+
+def use_means(path: Path) -> None:
+    """Find this file in the cache: the same means, or others in its place."""
+    cache = Cache(path.parent / "cache")
+    told = (cache.folder / "recordings" / "abcd", BRIGHTNESS_CODE, [*MEANS], lambda: MEANS)
+    cache.told("brightness", *told)
+    (kept,) = (cache.folder / "brightness").glob("*.npz")
+    kept.write_bytes(path.read_bytes())
+    for name, values in cache.told("brightness", *told).items():
+        np.testing.assert_array_equal(values, MEANS[name])
+
+
+OTHERS: dict[str, tuple[Write, Use]] = {
+    "track.csv": (
+        lambda path: save_track(path, PointTrack(TIMES_S, POINTS_PX)),
+        lambda path: len(load_track(path)),
+    ),
+    "rig.yaml": (text(kalibr_with_pose(np.eye(3), np.ones(3))), load_rig),
+    "flight.csv": (text(FLIGHT), trajectory_from_csv),
+    "grid.toml": (text((CONFIGS / "ablation_window.toml").read_text("utf-8")), load_config),
+    "drone.obj": (lambda path: box().export(path), check_mesh),
+    "truth.json": (text(json.dumps(TRUTH)), lambda path: load_truth(path.parent)),
+    "row.json": (text(text_of_row(ROW)), use_row),
+    "means.npz": (lambda path: np.savez(path, **MEANS), use_means),
+}
+EVENTS = [name for name in FORMS if not name.endswith((".bag", ".db3", ".mcap"))]
+
+
+@pytest.fixture
+def within_memory() -> Iterator[None]:
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    n_pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = n_pages * resource.getpagesize() + MAX_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.mark.usefixtures("within_memory")
+@pytest.mark.parametrize("name", [*EVENTS, *OTHERS])
+def test_a_damaged_file_is_refused_in_one_line_or_loses_nothing_unsaid(name, tmp_path, capfd):
+    path = tmp_path / name
+    write, use = OTHERS.get(name, (lambda path: FORMS[name](path, random_events()), None))
+    write(path)
+
+    def n_used(reading: Reading = STRICT) -> object:
+        return use(path) if use else len(load_events(path, reading).events)
+
+    whole, n_whole = path.read_bytes(), n_used()
+    is_text = path.suffix in TEXT
+    readings = st.sampled_from((STRICT, STRICT, Reading(allow_damaged=True, sort=True)))
+    is_silent = []
+
+    @given(st.data(), readings)
+    def law(data, reading):
+        path.write_bytes(whole)
+        if path.suffix in (".h5", ".hdf5") and data.draw(st.booleans()):
+            restructure(data.draw, path)
+        else:
+            path.write_bytes(data.draw(damaged(whole, is_text)))
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                n = n_used(reading)
+            except (SimError, SsacError) as error:
+                is_silent.append(False)
+                assert re.fullmatch(f".*{re.escape(name)}.*", str(error))  # noqa: PT017 - a line
+                assert not re.search("MemoryError|Unable to allocate", str(error))  # noqa: PT017
+                return
+        is_cut = name.endswith(WITHOUT_END) and whole.startswith(path.read_bytes())
+        fewer = isinstance(n, int) and n < 0.99 * n_whole
+        is_silent.append(fewer and not said and not is_cut)
+
+    law()
+    assert sum(is_silent) <= 1 + MAX_SILENT * len(is_silent)  # one may be chance
+    assert use is use_means or not capfd.readouterr().err  # the cache says what it moved aside
