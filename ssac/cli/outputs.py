@@ -65,7 +65,7 @@ def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading
     clock = Stopwatch(log)
     estimate, synced = result.estimate, outputs.synced
     if outputs.json_file is not None:
-        save_json(outputs.json_file, result.answer)
+        save_json(outputs.json_file, result.to_dict())
         log(f"wrote {outputs.json_file}")
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
