@@ -20,16 +20,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
-from ssac.events import US_PER_S
-from ssac.files.event_files import load_events
-from ssac.files.hdf5 import load_frames
-from ssac.files.rigs import load_rig
-from ssac.files.track_files import is_track_file, load_track
-from ssac.track.observation import Observation, tracked
 
 Pair = tuple[int, int]
 FIRST_TWO: Pair = (0, 1)
@@ -43,19 +36,11 @@ class Recorded:
     files: tuple[str, ...]
     rig: str
     known_extrinsics: bool = False
-    search_all: bool = False
-    rate_range: tuple[float, float] | None = None
     estimate_readout: bool = False
     config: dict[str, Any] = field(default_factory=dict)  # fields of Config
 
     def __hash__(self) -> int:
         return hash(self.name)
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        """Of `Config`."""
-        search = {"search": "all"} if self.search_all else {}
-        return {**self.config, **search, "rates": self.rate_range}
 
     def without_paths(self, text: str) -> str:
         """Name cameras and rig as a caller without files knows them."""
@@ -74,7 +59,7 @@ def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> d
     result = sync(
         *(recorded.files[k] for k in pair), recorded.rig, method,
         known_extrinsics=recorded.known_extrinsics, cameras=(pair[0] + 1, pair[1] + 1),
-        estimate_readout=recorded.estimate_readout, **recorded.fields,
+        estimate_readout=recorded.estimate_readout, **recorded.config,
     )  # fmt: skip
     return {"estimate": result.estimate, "json": untimed(result.to_dict())}
 
@@ -101,7 +86,7 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
     args += ["--known-extrinsics"] * recorded.known_extrinsics
     args += ["--estimate-readout"] * recorded.estimate_readout
     for name, option in OPTIONS.items():
-        value, flag = recorded.fields.get(option.field), f"--{name.replace('_', '-')}"
+        value, flag = recorded.config.get(option.field), f"--{name.replace('_', '-')}"
         if option.value is None and value is not None:
             args += [flag, *(value if isinstance(value, tuple) else [value])]
         elif option.value is not None and option.value == value:
@@ -113,20 +98,6 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
     found = read_json(out)
     assert ended.exit_code == (found["status"] != "ok"), ended.stderr
     return untimed(found)
-
-
-def by_function(recorded: Recorded, method: str) -> Estimate:
-    """Call the method's own function, such as `ssac.tangency`, with what the cameras recorded."""
-    import ssac
-
-    chosen = _chosen(recorded, method)
-    return getattr(ssac, chosen.replace("-", "_"))(*_seen(recorded), Config(**recorded.fields))
-
-
-def by_study(recorded: Recorded, method: str) -> Estimate:
-    """Ask the chain that every row of a study comes from."""
-    cell, chain = _of_study(recorded, method)
-    return chain.under(cell.estimator).delayed(cell.t_d_s).estimate(cell.method)
 
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
@@ -162,11 +133,16 @@ def by_chain(recorded: Recorded, method: str, pair: Pair) -> Estimate:
 
 @cache
 def _chain(recorded: Recorded) -> Any:
+    """Give the chain of a caller who has all cameras in memory."""
     from ssac import Chain
+    from ssac.camera import to_be_read_out
     from ssac.pipeline.opened import opened, opened_rig
 
     rig = opened_rig(recorded.rig, len(recorded.files))
-    return Chain(opened(recorded.files, rig), rig, Config(**recorded.fields))
+    if recorded.estimate_readout:
+        rig = replace(rig, cameras=tuple(map(to_be_read_out, rig.cameras)))
+    cameras = [one.read("images") for one in opened(recorded.files, rig)]
+    return Chain(cameras, rig, Config(**recorded.config))
 
 
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
@@ -182,51 +158,19 @@ def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
         raise NotSolvedError
 
     with patch("ssac.pipeline.many.solve_pairs", found), suppress(NotSolvedError):
-        sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
+        sync([*recorded.files], recorded.rig, None, method, **recorded.config)
     return {pair: answer.estimate for pair, answer in paired.items()}
-
-
-def _chosen(recorded: Recorded, method: str) -> str:
-    from ssac.pipeline.registry import choose_method
-
-    return choose_method(method, recorded.known_extrinsics).name
-
-
-@cache
-def _seen(recorded: Recorded) -> tuple[Observation, Observation, Rig]:
-    """What a caller without files has of the first two cameras."""
-    rig, cameras = load_rig(Path(recorded.rig)), []
-    for file in map(Path, recorded.files[:2]):
-        if is_track_file(file):
-            cameras.append(tracked(load_track(file)))
-        else:
-            times_us, images = load_frames(file) or (None, None)
-            frame_times_s = None if times_us is None else times_us / US_PER_S
-            cameras.append(Observation(load_events(file).events, images, frame_times_s))
-    if recorded.estimate_readout:
-        from ssac.camera import to_be_read_out
-
-        rig = Rig(to_be_read_out(rig.cam1), to_be_read_out(rig.cam2), rig.T_2_1)
-    return cameras[0], cameras[1], rig
-
-
-@cache
-def _shared(recorded: Recorded) -> Any:
-    """What the cells of one recording share, as `scored.load_recorded` gives it."""
-    from ssac import Chain
-
-    cam1, cam2, rig = _seen(recorded)
-    return Chain((cam1, cam2), rig)
 
 
 def _of_study(recorded: Recorded, method: str) -> Any:
     """Give the cell and what it shares with others."""
     from experiments.lab.grid import Cell
     from sim.recording import SimConfig
+    from ssac.pipeline.registry import choose_method
 
-    chosen, config = _chosen(recorded, method), Config(**recorded.fields)
-    cell = Cell(SimConfig(), 0, 0, 0.0, config, chosen, {"sim.t_d_s": 0.0})
-    return cell, _shared(recorded)
+    chosen, config = choose_method(method, recorded.known_extrinsics), Config(**recorded.config)
+    cell = Cell(SimConfig(), 0, 0, 0.0, config, chosen.name, {"sim.t_d_s": 0.0})
+    return cell, _chain(recorded)
 
 
 # --- Comparing ------------------------------------------------------------------------------------

@@ -196,7 +196,7 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "wandering_clock": _wandering,
     "tracks_of_3_s": lambda: Seen(tuple(_tracks(SHORT)), (SHORT,)),
     "tracks_at_rest": lambda: Seen(tuple(_tracks(REST))),
-    "frame_rate": lambda: _of_long(_tracks(LONG, 3.0, 0.71), rate_range=(0.705, 0.715)),
+    "frame_rate": lambda: _of_long(_tracks(LONG, 3.0, 0.71), config={"rates": (0.705, 0.715)}),
     "readout": lambda: _of_long(_tracks(LONG, readout_s=0.03), estimate_readout=True),
     "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], _tracks()[1])),
     # Three cameras

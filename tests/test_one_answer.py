@@ -22,10 +22,8 @@ from tests.answers import (
     answered,
     by_chain,
     by_command_line,
-    by_function,
     by_network,
     by_python,
-    by_study,
     differences,
     row_by_study,
     row_of,
@@ -37,9 +35,6 @@ from tests.ssac.command import read_json, run
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*all times are whole")
 
-BY_FUNCTION = ("ordinary", "two_drones", "tracks", "rounded_tracks", "noise_alone")
-"""Recordings that functions are asked for too: they are the chain, as studies are."""
-
 FEW = ("joint", "tangency", "zncc_e")
 SLOW = {"people": FEW, "three_cameras_two_drones": FEW[:1]}
 """Methods for recordings whose objects take seconds to be told apart, whatever the method is."""
@@ -47,8 +42,6 @@ SLOW = {"people": FEW, "three_cameras_two_drones": FEW[:1]}
 METHODS = tuple(method.name for method in OURS)
 WAYS: dict[str, Callable[..., Any]] = {
     "command line": by_command_line,
-    "function": by_function,
-    "study": by_study,
     "row": row_by_study,
     "network": by_network,
 }
@@ -140,16 +133,12 @@ def cases() -> Iterator[Any]:
                 continue
             if (way, name) == ("row", "without_pose"):  # studies know every pose
                 continue
-            if way == "function" and name not in BY_FUNCTION:
-                continue
             yield pytest.param(way, name, id=f"{way}-{name}")
 
 
 @pytest.mark.parametrize(("way", "name"), list(cases()))
 def test_one_answer(way, name, answers):
-    few = way == "function" and name != "ordinary"
-    methods = FEW if few else SLOW.get(name, METHODS)
-    assert different(way, answers, name, methods) == []
+    assert different(way, answers, name, SLOW.get(name, METHODS)) == []
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDINGS if name.startswith("three")])

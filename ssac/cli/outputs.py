@@ -87,7 +87,7 @@ def _write_of_two(
 ) -> None:
     estimate, synced = result.estimate, outputs.write_synced
     if outputs.json_file is not None:
-        save_json(outputs.json_file, result.answer)
+        save_json(outputs.json_file, result.to_dict())
         log(f"wrote {outputs.json_file}")
     if synced is not None and not estimate.has_offset:
         log(f"not written: {synced}, since there is no reliable offset")

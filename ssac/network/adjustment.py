@@ -12,7 +12,7 @@ import numpy as np
 from ssac.arrays import Array, IntArray, Mask
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
 from ssac.network import state as layout
-from ssac.network.graph import Pair, PairConstraint, shared_by
+from ssac.network.graph import Link, Pair, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
 from ssac.network.state import CameraState, Priors, Sightings, network_times, projected
 from ssac.rules import NetworkRules
@@ -33,7 +33,7 @@ class Network:
     rules: NetworkRules
     repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
     lasting: float = 1.0  # the same, with what the path takes up of such errors
-    constraints: Mapping[Pair, PairConstraint] = field(default_factory=dict)  # by pairs of states
+    constraints: Mapping[Pair, Link] = field(default_factory=dict)  # by pairs of states
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +238,7 @@ def _weighed(network: Network, solved: Solved) -> Network:
         rows = np.flatnonzero(fit.used)
         if len(rows) < 10:
             continue
-        share = seen.sigmas_px[rows] / np.median(seen.sigmas_px)
+        share = seen.shares[rows]
         over = fit.residuals_px[rows] / share[:, None]
         count = repeats_of if seen.spreads_px2 is None else repeats_in_blocks
         repeats.append(count(seen.times_s[rows], over, rules))
@@ -267,11 +267,8 @@ def _weighed(network: Network, solved: Solved) -> Network:
 
 
 def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
-    """Give event cameras the deviations that they have of themselves, times one common factor.
-
-    The mean of the events strays by a share of the image's size in all of them. Each for itself,
-    the two whose errors the path takes up best would soon seem to be without any.
-    """
+    """Give event cameras the deviations that they have of themselves, times one common factor."""
+    # Each for itself, the two whose errors the path takes up best would seem to be without any.
     of_events = np.flatnonzero([not seen.has_frames for seen in cameras])
     if not len(of_events):
         return sigmas_px
@@ -283,12 +280,9 @@ def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
 
 
 def _taken_up(network: Network) -> float:
-    """Give how much larger slow errors are, as variances, than the residuals show them.
-
-    The path follows them in three of the directions in which they are: two for each camera that
-    sees the object. Those of silhouettes are along the object's width, mostly, and that of what
-    flies is level: in one direction for each camera, of which the path follows two.
-    """
+    """Give how much larger slow errors are, as variances, than the residuals show them."""
+    # The path follows them in three of their directions: two for each camera that sees the object.
+    # Those of silhouettes are along what is level, one for each camera: it follows two.
     cameras, steps_s = network.cameras, np.diff(network.path.knots_s)
     covered_s = float(np.sum(steps_s[steps_s <= network.rules.max_knot_gap_s]))
     seen_s = sum(
@@ -323,11 +317,7 @@ def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
 
 
 def repeats_in_blocks(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
-    """Count as `repeats_of` does, by what the sums of blocks of a second are.
-
-    Of silhouettes, what lasts is small beside what does not: correlations are near nothing long
-    before they vanish, and go on.
-    """
+    """Count as `repeats_of` does, by sums of blocks: what lasts in silhouettes is small."""
     deviation = deviation_px(residuals) + 1e-12
     clipped = np.clip(residuals / deviation, -3.0, 3.0)
     blocks = np.floor((times_s - times_s[0]) / rules.block_s).astype(np.int64)

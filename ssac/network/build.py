@@ -130,8 +130,7 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
         fit = fit_of(network, k)
         off = np.linalg.norm(fit.residuals_px, axis=1) / (seen.shares * network.sigmas_px[k])
         enabled.append(fit.used & (off < by.gate))
-    given = {pair: link.constraint for pair, link in links.items() if link.constraint}
-    agreed = agreeing(given, built.members, network.states, by)
+    agreed = agreeing(links, built.members, network.states, by)
     network = replace(network, enabled=enabled, constraints=agreed)
     return Built(built.members, *adjust(network, by.rounds), [])
 

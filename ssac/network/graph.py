@@ -31,35 +31,38 @@ _STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLA
 
 
 @dataclass(frozen=True, eq=False)
-class PairConstraint:
-    """Clock and pose of camera b by camera a, and how sure they are."""
+class Link:
+    """What one pair of cameras (a, b) tells of both."""
 
-    clock: Clock
-    R: Array  # (3, 3) x_b = R x_a + t
-    t: Array  # (3,) of length 1
-    factor: Array  # (7, 7) lower: of the covariance of offset [s], turn, direction [rad], skew
+    clock: Clock  # b's, by a's; its t_ref is in the middle of the common time
+    is_reliable: bool  # by the estimate's own status; no: a guess
+    cost: float  # how badly the two paths fit: the least of many is the best
+    R: Array | None = None  # (3, 3) x_b = R x_a + t
+    t: Array | None = None  # (3,) of length 1
+    factor: Array | None = None
+    """(7, 7) lower: of the covariance of offset [s], turn, direction [rad] and skew, of two event
+    cameras whose tangents tell more than their sightings."""
+
+    def reversed(self) -> "Link":
+        """Give what the pair (b, a) tells, but for how sure that is."""
+        R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
+        return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
     def off(self, a: CameraState, b: CameraState) -> Array:
         """Give what it tells less what two states say (7,): of offset, turn, direction and skew."""
         own_s = np.array([self.clock.t_ref_s])
         shown_s = b.own_from_network(a.network_from_own(own_s))
-        R = b.R @ a.R.T
+        told_R, told_t, R = np.asarray(self.R), np.asarray(self.t), b.R @ a.R.T
         t = b.t - R @ a.t
         t = t / np.linalg.norm(t)
         return np.concatenate(
             [
                 self.clock.cam2_from_cam1(own_s) - shown_s,
-                Rotation.from_matrix(self.R @ R.T).as_rotvec(),
-                tangent_basis(self.t) @ (self.t - t),
+                Rotation.from_matrix(told_R @ R.T).as_rotvec(),
+                tangent_basis(told_t) @ (told_t - t),
                 [PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0],
             ]
         )
-
-    def fits(self, a: CameraState, b: CameraState, rules: NetworkRules) -> bool:
-        """Whether two states are near what it tells."""
-        off = self.off(a, b)
-        turn_deg = np.rad2deg(np.linalg.norm(off[1:4]))
-        return bool(abs(off[0]) < rules.max_off_s and turn_deg < rules.max_turn_deg)
 
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
@@ -67,7 +70,8 @@ class PairConstraint:
         by_a = _slopes(lambda moved: self.off(moved, b), a)
         by_b = _slopes(lambda moved: self.off(a, moved), b)
         beside = np.column_stack([by_a, by_b, off])
-        weighed = np.asarray(solve_triangular(self.factor, beside, lower=True), dtype=np.float64)
+        factor = np.asarray(self.factor)
+        weighed = np.asarray(solve_triangular(factor, beside, lower=True), dtype=np.float64)
         return weighed[:, : a.size], weighed[:, a.size : -1], weighed[:, -1]
 
 
@@ -79,23 +83,6 @@ def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
         step[place] = size
         by[:, place] = (off(state.moved(-step)) - off(state.moved(step))) / (2.0 * size)
     return by
-
-
-@dataclass(frozen=True, eq=False)
-class Link:
-    """What one pair of cameras (a, b) tells of both."""
-
-    clock: Clock  # b's, by a's; its t_ref is in the middle of the common time
-    is_reliable: bool  # by the estimate's own status; no: a guess
-    cost: float  # how badly the two paths fit: the least of many is the best
-    R: Array | None = None  # (3, 3) x_b = R x_a + t
-    t: Array | None = None  # (3,) of length 1
-    constraint: PairConstraint | None = None  # of two event cameras: how sure clock and pose are
-
-    def reversed(self) -> "Link":
-        """Give what the pair (b, a) tells."""
-        R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
-        return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
 
 def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
@@ -130,10 +117,10 @@ def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     return sorted(found, key=lambda group: (-len(group), group))
 
 
-def constraint_of(estimate: Estimate) -> PairConstraint | None:
-    """Take what an estimate tells of clock and pose; None of one without their covariance."""
-    known, R, t = estimate.covariance, estimate.R, estimate.t
-    if estimate.status != Status.OK or known is None or R is None or t is None:
+def factor_of(estimate: Estimate) -> Array | None:
+    """Give how sure an estimate is of clock and pose, as of `Link`; None without its covariance."""
+    known = estimate.covariance
+    if estimate.status != Status.OK or known is None or estimate.R is None:
         return None
     if not (np.isfinite(estimate.t_ref_s) and estimate.skew_std_ppm > 0.0):
         return None
@@ -145,26 +132,27 @@ def constraint_of(estimate: Estimate) -> PairConstraint | None:
         factor = np.linalg.cholesky(covariance / np.outer(deviations, deviations))
     except np.linalg.LinAlgError:
         return None
-    clock = Clock(estimate.t_d_s, estimate.skew_ppm, estimate.t_ref_s)
-    return PairConstraint(clock, R, t, deviations[:, None] * factor)
+    return np.asarray(deviations[:, None] * factor)
 
 
 def agreeing(
-    constraints: Mapping[Pair, PairConstraint],
+    links: Mapping[Pair, Link],
     members: list[int],
     states: list[CameraState],
     rules: NetworkRules,
-) -> dict[Pair, PairConstraint]:
-    """Give the pairs of members that tell nearly what the states say, by places among these."""
-    places = {k: place for place, k in enumerate(members)}
-    return {
-        (places[a], places[b]): one
-        for (a, b), one in constraints.items()
-        if a in places and b in places and one.fits(states[places[a]], states[places[b]], rules)
-    }
+) -> dict[Pair, Link]:
+    """Give the sure pairs of members that tell nearly what the states say, by places of these."""
+    found, places = dict[Pair, Link](), {k: place for place, k in enumerate(members)}
+    for (a, b), link in links.items():
+        if link.factor is not None and a in places and b in places:
+            off = link.off(states[places[a]], states[places[b]])
+            turn_deg = np.rad2deg(np.linalg.norm(off[1:4]))
+            if abs(off[0]) < rules.max_off_s and turn_deg < rules.max_turn_deg:
+                found[places[a], places[b]] = link
+    return found
 
 
-def shared_by(constraints: Mapping[Pair, PairConstraint]) -> dict[Pair, float]:
+def shared_by(constraints: Mapping[Pair, Link]) -> dict[Pair, float]:
     """Say for how many pairs each stands that share outlines: the mean of both cameras' pairs."""
     counts = Counter(camera for pair in constraints for camera in pair)
     return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in constraints}

@@ -266,12 +266,8 @@ def _add_sightings(
 
 @numba.njit(cache=True)
 def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntArray]:
-    """Solve L y = x for some rows (f,) of a matrix (b, m), where they are not next to nothing.
-
-    L is in lower form (BAND, m). What is short in time, as a piece of a clock, has an end in y too:
-    it fades by some factor from each of the path's coefficients to the next. Gives (f, m), and of
-    each the first place that is not 0 and the one after the last (f, 2).
-    """
+    """Solve L y = x for rows x (f,) of a matrix (b, m): y (f, m), and where it is not 0 (f, 2)."""
+    # What is short in time, as a piece of a clock, fades in y from each coefficient to the next.
     m = factor.shape[1]
     solved, spans = np.zeros((len(chosen), m)), np.zeros((len(chosen), 2), np.int64)
     for k in range(len(chosen)):

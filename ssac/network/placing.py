@@ -181,11 +181,9 @@ def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraS
 def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
     """Place a pair, and see that its path is in front of both."""
     (a, b), cameras, rules = pair, group.cameras, group.rules
-    if link.R is None or link.t is None:
-        return None
     first = CameraState(middle_s=cameras[a].middle_s)
-    second = CameraState(middle_s=cameras[b].middle_s, R=link.R, t=link.t)
-    second = _with_clock(second, link, first)
+    R, t = np.asarray(link.R), np.asarray(link.t)  # which seeds have
+    second = _with_clock(CameraState(middle_s=cameras[b].middle_s, R=R, t=t), link, first)
     placed = Placed({a: first, b: second}, 0)
     points = _path_of(placed, group)[1]
     inliers = int(np.count_nonzero(np.isfinite(points[:, 0])))

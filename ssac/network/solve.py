@@ -14,7 +14,7 @@ from ssac.network import state as layout
 from ssac.network.adjustment import Network, border_offsets, fit_of
 from ssac.network.align import Similarity
 from ssac.network.build import Built, build
-from ssac.network.graph import Link, Pair, Triple, closures_s, constraint_of, groups
+from ssac.network.graph import Link, Pair, Triple, closures_s, factor_of, groups
 from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
 from ssac.network.state import Priors, Sightings, is_near, network_times
@@ -149,8 +149,6 @@ class NetworkAnswer:
     @property
     def status(self) -> Status:
         """Whether all cameras are in one network: `ok` if so."""
-        if not self.built:
-            return Status.NO_MATCH
         return Status.OK if len(self.built) == 1 and not self.left_out else Status.NO_MATCH
 
     @property
@@ -183,8 +181,8 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
         return None
     cost = guess.cost if guess is not None else estimate.d_avg_px
     pose = (estimate.R, estimate.t) if estimate.status == Status.OK else (None, None)
-    constraint = constraint_of(estimate) if of_events else None
-    return Link(clock, estimate.has_offset, cost, *pose, constraint)
+    factor = factor_of(estimate) if of_events else None
+    return Link(clock, estimate.has_offset, cost, *pose, factor)
 
 
 def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:

@@ -134,11 +134,6 @@ class Answer:
         reason = f"{self.estimate.reason}; {more}"
         return replace(self, estimate=replace(self.estimate, reason=reason))
 
-    @property
-    def sees_several(self) -> bool:
-        """Whether a camera saw several things, of which one was to be chosen."""
-        return any(one.used.seen > 1 for one in self.cleans)
-
 
 COLUMNS = 100
 """Of a screen: every line fits that has no longer word, such as a path."""

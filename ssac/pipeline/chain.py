@@ -21,7 +21,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Cameras, Rig, check_cameras
+from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -88,16 +88,16 @@ class Chain:
         are more or fewer cameras than in the rig.
         """
         if not isinstance(cameras, Sequence):
-            raise SsacError(f"cameras: expected a list of recordings, got {_kind(cameras)}")
+            raise SsacError(f"cameras: expected a list of recordings, got {kind_of(cameras)}")
         self.sources = tuple(cameras)
-        self.rig = _cameras_of(rig)
+        self.rig = cameras_of(rig)
         self.config = validated(config)
         self.watch = Stopwatch(log)
         self._kept: dict[Hashable, Any] = {}
         self._undelayed: tuple[Chain, float] | None = None
         for k, source in enumerate(self.sources, start=1):
             if not all(hasattr(type(source), name) for name in ("name", "has_track", "read")):
-                raise SsacError(f"camera {k}: expected a ssac.Observation, got {_kind(source)}")
+                raise SsacError(f"camera {k}: expected a ssac.Observation, got {kind_of(source)}")
         if not 2 <= len(self.sources) == len(self.rig):
             raise SsacError(
                 f"{len(self.sources)} recordings for the {len(self.rig)} cameras of"
@@ -140,14 +140,15 @@ class Chain:
             chain, t_d_s = self._undelayed
             seen = chain.recorded(k, frames)
             return seen.delayed(t_d_s) if k else seen
-        if frames or len(self) == 2:
-            return self._read(k, frames)
-        return self._once(("recorded", k), lambda: self._read(k))  # again for its silhouettes
 
-    def _read(self, k: int, frames: str = "") -> Observation:
-        seen = self.sources[k].read(frames)
-        check_seen(seen, self.name(k))
-        return seen
+        def read() -> Observation:
+            seen = self.sources[k].read(frames)
+            check_seen(seen, self.name(k))
+            return seen
+
+        if frames or len(self) == 2:
+            return read()
+        return self._once(("recorded", k), read)  # again for its silhouettes
 
     def views(self, i: int = 0, j: int = 1) -> TwoViews:
         """Give both views of all that two cameras saw, and their rig as it was given."""
@@ -207,7 +208,8 @@ class Chain:
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
             if other.estimate.status == Status.OK:
                 return other
-            if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
+            sees_several = any(one.used.seen > 1 for one in other.cleans)
+            if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
                 answer = other
         return replace(answer, estimate=retries.by_several(answer.cleans, answer.estimate))
 
@@ -263,7 +265,8 @@ class Chain:
         rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
             rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
-            if retries.is_within(rated.estimate, rates):
+            rate = 1.0 + 1e-6 * rated.estimate.skew_ppm  # a jump may look faster
+            if rated.estimate.has_offset and rates[0] <= rate <= rates[1]:
                 return replace(rated, clock=retries.FAST)
         if not tries_all and retries.narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"
@@ -273,7 +276,8 @@ class Chain:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        if not retries.is_mended(mended.estimate, config.rules.verdict):
+        is_mended = mended.estimate.against <= config.rules.verdict.in_doubt
+        if mended.estimate.status != Status.OK or not is_mended:
             return answer
         return answer.because(f"all agrees if {hint}")
 
@@ -320,7 +324,8 @@ class Chain:
                 pair, found, clock = other, by_other, name
                 break
         rules = pair.config.rules.verdict
-        is_in_doubt = found.against > retries.doubt_from(pair.rig, rules)
+        states = pair.rig.cam1.states_intrinsics or pair.rig.cam2.states_intrinsics
+        is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
         if is_in_doubt and found.status in (Status.OK, Status.POOR_FIT):
             other = replace(pair, rig=retries.less_certain(pair.rig, found, rules))
             by_other = self._run(other)
@@ -498,17 +503,22 @@ class Chain:
         return self.sources[i].has_track or self.sources[j].has_track
 
 
-def _cameras_of(rig: Cameras | Rig) -> Cameras:
+def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Cameras:
+    """Give a rig of any form as cameras, which are checked."""
     if isinstance(rig, Rig):
         rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
+    elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
+        rig = Cameras(tuple(rig))
     if not isinstance(rig, Cameras):
-        raise SsacError(f"rig: expected a ssac.Rig or ssac.Cameras, got {_kind(rig)}")
+        raise SsacError(f"rig: expected {forms}, got {kind_of(rig)}")
     check_cameras(rig)
     return rig
 
 
-def _kind(value: object) -> str:
-    return type(value).__name__
+def kind_of(value: object) -> str:
+    """Name what came in the place of something else."""
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
 
 
 def _key_of(rig: Rig) -> Hashable:
@@ -538,10 +548,9 @@ def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
 
 def _held(seen: Observation, name: str) -> str:
     """Say in a line what a camera recorded."""
-    start_s, end_s = seen.span_s
-    if seen.track is not None:
-        return f"{name}: {len(seen.track)} points from {start_s:.3f} to {end_s:.3f} s"
-    return f"{name}: {len(seen.events)} events from {start_s:.3f} to {end_s:.3f} s"
+    events, (start_s, end_s) = f"{len(seen.events)} events", seen.span_s
+    held = events if seen.track is None else f"{len(seen.track)} points"
+    return f"{name}: {held} from {start_s:.3f} to {end_s:.3f} s"
 
 
 def _objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:

@@ -23,6 +23,7 @@ from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
 from ssac.pipeline.plots import Material, material_of
+from ssac.pipeline.report import rows_of
 from ssac.pipeline.scene import scene_of_network, scene_of_two
 from ssac.pipeline.streams import Seen, as_recorded, streams
 
@@ -30,16 +31,13 @@ Answers = Mapping[Pair, Answer]
 
 _PACKAGES = "ssac-suite", "numpy", "scipy", "numba", "opencv-python-headless"
 _MOST_DOTS = 1000  # in a chart of a pair's; fewer where there are many pairs
-_NUMBERS = "fu", "fv", "pu", "pv"
+_NUMBERS = {"fu": (0, 0), "fv": (1, 1), "pu": (0, 2), "pv": (1, 2)}
 
 
 def save_report(
     path: Path, answers: Answers, network: NetworkAnswer | None, summary: str, command: str = ""
 ) -> Path:
-    """Write the page on two cameras, or on all pairs of more and their network; give its path.
-
-    The summary is what is printed, and the command what was called; empty: from Python.
-    """
+    """Write `report_page`; give its path."""
     page = report_page(answers, network, summary, command)
     with whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -49,7 +47,11 @@ def save_report(
 def report_page(
     answers: Answers, network: NetworkAnswer | None, summary: str, command: str = ""
 ) -> str:
-    """Lay out the page of `save_report`: the same input gives the same bytes."""
+    """Lay out the page on two cameras, or on all pairs of more and their network.
+
+    The summary is what is printed, and the command what was called; empty: from Python. The same
+    input gives the same bytes.
+    """
     materials = {pair: material_of(answer) for pair, answer in answers.items()}
     cameras = seen_by(answers, materials, network)
     most = max(150, _MOST_DOTS // len(answers))
@@ -80,7 +82,7 @@ def report_page(
             command=command,
             versions={"Python": platform.python_version(), **{n: _version(n) for n in _PACKAGES}},
             seconds=answers[0, 1].seconds,
-            summary=_rows(summary),
+            summary=rows_of(summary),
         )
     )
 
@@ -155,21 +157,24 @@ def _title(answers: Answers, network: NetworkAnswer | None) -> str:
 
 def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
     """Say how it went: a word, a kind for the eye, why, and what to do."""
+    estimate, notes = answers[0, 1].estimate, answers[0, 1].notes
+    status, reason, has_some = estimate.status, estimate.reason, estimate.has_offset
     if network is not None:
-        status, reason, notes = str(network.status), network.reason, list[str]()
-        has_some = bool(network.built)
-    else:
-        estimate, notes = answers[0, 1].estimate, list(answers[0, 1].notes)
-        status, reason, has_some = estimate.status, estimate.reason, estimate.has_offset
+        status, reason, has_some = network.status, network.reason, bool(network.built)
+        notes = ()
     ours = {str(one): one for one in Status}.get(status)  # another's method may have its own word
     return {
-        "kind": "ok" if status == Status.OK else "open" if has_some else "refused",
+        "kind": _kind(status, has_some),
         "word": str(status),
         "meaning": ours.meaning if ours else "",
         "reason": reason,
         "remedy": ours.remedy if ours else "",
         "notes": notes,
     }
+
+
+def _kind(status: str, has_some: bool) -> str:
+    return "ok" if status == Status.OK else "open" if has_some else "refused"
 
 
 def _cards(answer: Answer) -> list[tuple[str, str, str]]:
@@ -188,15 +193,12 @@ def _cards(answer: Answer) -> list[tuple[str, str, str]]:
         sure = _interval(estimate.skew_ppm, estimate.skew_std_ppm, "ppm", 1)
         cards.append(("Clock skew", f"{estimate.skew_ppm:+.1f} ppm", f"{runs}; {sure}"))
     if R is not None and t is not None:
-        stds_deg = estimate.r_std_deg, estimate.t_std_deg
         said = [
-            "given by the rig file"
-            if answer.method.needs_extrinsics
-            else f"1 sigma {std_deg:.3f}°"
-            if np.isfinite(std_deg)
-            else "of unknown accuracy"
-            for std_deg in stds_deg
+            f"1 sigma {std_deg:.3f}°" if np.isfinite(std_deg) else "of unknown accuracy"
+            for std_deg in (estimate.r_std_deg, estimate.t_std_deg)
         ]
+        if answer.method.needs_extrinsics:
+            said = 2 * ["given by the rig file"]
         apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
         towards = ", ".join(f"{value:.2f}" for value in np.round(-R.T @ t, 2) + 0.0)
         cards.append(("Lines of sight", f"{apart_deg:.2f}° apart", f"rotation: {said[0]}"))
@@ -234,26 +236,22 @@ def _offset_words(estimate: Estimate) -> str:
 
 def _intrinsics(answer: Answer) -> list[dict[str, Any]]:
     """Compare the intrinsics that were fitted with the rig's, in deviations of the rig's."""
-    Ks, rows = answer.estimate.Ks, list[dict[str, Any]]()
-    for k, camera in enumerate((answer.rig.cam1, answer.rig.cam2)):
-        given, found = (
-            np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
-            for K in (camera.K, camera.K if Ks is None else Ks[k])
-        )
-        rows += [
-            {
-                "camera": k + 1,
-                "name": name,
-                "given_px": given_px,
-                "std_px": std_px,
-                "found_px": found_px,
-                "deviations": (found_px - given_px) / std_px,
-            }
-            for name, given_px, std_px, found_px in zip(
-                _NUMBERS, given, camera.intrinsics_std_px, found, strict=True
-            )
-            if Ks is not None and std_px > 0.0
-        ]
+    rows, cameras = list[dict[str, Any]](), (answer.rig.cam1, answer.rig.cam2)
+    for k, K in enumerate(answer.estimate.Ks or ()):
+        stds_px = zip(_NUMBERS.items(), cameras[k].intrinsics_std_px, strict=True)
+        for (name, place), std_px in stds_px:
+            given_px, found_px = float(cameras[k].K[place]), float(K[place])
+            if std_px > 0.0:
+                rows.append(
+                    {
+                        "camera": k + 1,
+                        "name": name,
+                        "given_px": given_px,
+                        "std_px": std_px,
+                        "found_px": found_px,
+                        "deviations": (found_px - given_px) / std_px,
+                    }
+                )
     return rows
 
 
@@ -261,18 +259,16 @@ def _graph(answers: Answers, network: NetworkAnswer) -> dict[str, Any]:
     """Lay out the cameras on a circle, and what their pairs say of each other."""
     angles = 2.0 * np.pi * np.arange(len(network.cameras)) / len(network.cameras)
     places = np.column_stack([180.0 + 120.0 * np.sin(angles), 135.0 - 95.0 * np.cos(angles)])
-    edges = []
-    for pair, answer in answers.items():
-        estimate, off_s = answer.estimate, network.wrong_pairs.get(pair)
-        kind = "open" if estimate.has_offset else "refused"
-        kind = "ok" if estimate.status == Status.OK else kind
-        edges.append(
-            {
-                "ends": (*places[pair[0]].tolist(), *places[pair[1]].tolist()),
-                "kind": kind if off_s is None else "wrong",
-                "off_s": off_s,
-            }
-        )
+    edges = [
+        {
+            "ends": places[list(pair)].ravel().tolist(),
+            "kind": "wrong"
+            if pair in network.wrong_pairs
+            else _kind(answer.estimate.status, answer.estimate.has_offset),
+            "off_s": network.wrong_pairs.get(pair),
+        }
+        for pair, answer in answers.items()
+    ]
     closures = {tuple(k + 1 for k in one): off_s for one, off_s in network.closures_s.items()}
     return {"places": places.tolist(), "edges": edges, "closures": closures}
 
@@ -282,14 +278,3 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:  # run from its source, or brought by another package
         return "not known"
-
-
-def _rows(summary: str) -> list[tuple[str, list[str]]]:
-    """Give names and lines of a summary, each name with the lines below it."""
-    rows = list[tuple[str, list[str]]]()
-    for line in summary.splitlines():
-        name, said = line[:15].strip(), line[15:].strip()
-        if name or not rows:
-            rows.append((name, []))
-        rows[-1][1].append(said)
-    return rows

@@ -1,6 +1,5 @@
 """Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -16,7 +15,7 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.rigs import save_rig
-from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
+from ssac.files.whole_file import FIGURE_SUFFIXES
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
@@ -26,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import html_of, plain, text_of
+from ssac.pipeline.report import html_of, plain, save_json, text_of
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -227,7 +226,7 @@ def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> Non
     distance_m = _distance_m(answer)
     found = solve_pairs(chain, {(0, 1): answer}, distance_m)
     found, ground = grounded(found, known, answer.config.rules.ground)
-    write_paths(file, found, distance_m is not None or ground is not None, log)
+    _write_paths(file, found, distance_m is not None or ground is not None, log)
 
 
 def _distance_m(answer: Answer) -> float | None:
@@ -250,18 +249,15 @@ def write_rig_of_two(file: Path, answer: Answer, log: Log) -> None:
     _save_rig(file, rig, [estimate.t_d_s], distance_m is not None, log)
 
 
-def write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
+def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
     """Write the rig with all poses found, each from the camera before in its group."""
-    found, rigs = (
-        result.network.cameras,
-        [result.pairs[0, k].rig for k in range(1, len(result.names))],
-    )
+    rigs = [result.pairs[0, k].rig for k in range(1, len(result.names))]
     steps, shifts_s = list[Array | None](), []
-    for one, other in pairwise(found):
+    for one, other in pairwise(result.network.cameras):
         is_placed = one.group == other.group and one.R is not None and other.R is not None
         steps.append(_transform(other) @ np.linalg.inv(_transform(one)) if is_placed else None)
-        shift_s = _shown_s(other, other.t_ref_s) - _shown_s(one, other.t_ref_s)
-        shifts_s.append(shift_s if is_placed else np.nan)
+        shown_s = [_clock(camera).cam2_from_cam1(other.t_ref_s) for camera in (one, other)]
+        shifts_s.append(float(shown_s[1]) - float(shown_s[0]) if is_placed else np.nan)
     rig = Cameras((rigs[0].cam1, *(one.cam2 for one in rigs)), tuple(steps))
     _save_rig(file, rig, shifts_s, result.scale_is_known, log)
 
@@ -282,10 +278,9 @@ def _transform(camera: CameraAnswer) -> Array:
     return T
 
 
-def _shown_s(camera: CameraAnswer, time_s: float) -> float:
-    """Give what a camera's clock shows at a time of its group's first."""
-    clock = Clock(camera.t_d_s, camera.skew_ppm, camera.t_ref_s, camera.knots_s, camera.strays_s)
-    return float(clock.cam2_from_cam1(time_s))
+def _clock(camera: CameraAnswer) -> Clock:
+    """Give a camera's clock, as the first of its group sees it."""
+    return Clock(camera.t_d_s, camera.skew_ppm, camera.t_ref_s, camera.knots_s, camera.strays_s)
 
 
 def write_many(
@@ -297,17 +292,15 @@ def write_many(
 ) -> None:
     """Write what was asked for, and say so."""
     if json_file is not None:
-        with whole_file(json_file) as temporary:
-            text = json.dumps(result.to_dict(), indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        save_json(json_file, result.to_dict())
         log(f"wrote {json_file}")
     if trajectory is not None:
-        write_paths(trajectory, result.network, result.scale_is_known, log)
+        _write_paths(trajectory, result.network, result.scale_is_known, log)
     if rig is not None:
-        write_rig_of_many(rig, result, log)
+        _write_rig_of_many(rig, result, log)
 
 
-def write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
+def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
     """Write the path of the first group, and say so; that of another group beside it."""
     for k, found in enumerate(answer.paths):
         other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.arrays import Array, Events
-from ssac.camera import Camera, Cameras, Rig, check_cameras
+from ssac.camera import Camera, Cameras, Rig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
@@ -25,7 +25,7 @@ from ssac.files.readable import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
-from ssac.pipeline.chain import MEANS
+from ssac.pipeline.chain import MEANS, cameras_of, kind_of
 from ssac.points import PointTrack, check_track
 from ssac.track.motion import check_readout
 from ssac.track.observation import Observation, check_seen, tracked
@@ -108,8 +108,12 @@ class Recording:
         found = None
         if frames:
             from ssac.files.hdf5 import load_frames
+            from ssac.methods.correlations import frame_means
 
-            found = load_frames(self.path, _pixels_of_mean if frames == MEANS else None)
+            def pixels(images: NDArray[np.uint8]) -> Array:  # of one pixel each
+                return frame_means(images)[:, None, None]
+
+            found = load_frames(self.path, pixels if frames == MEANS else None)
         if found is None:
             return seen
         times_us, images = found
@@ -136,21 +140,12 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
         raise SsacError(
             f"cameras: {numbers} are of a rig file, and none was given: give the rig of those two"
         )
-    if isinstance(rig, Rig):
-        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
-    elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
-        rig = Cameras(tuple(rig))
-    if not isinstance(rig, Cameras):
+    found = cameras_of(rig, "a rig file, a ssac.Rig or the ssac.Camera of each recording")
+    if len(found) != n:
         raise SsacError(
-            "rig: expected a rig file, a ssac.Rig or the ssac.Camera of each recording, got "
-            f"{_kind(rig)}"
+            f"rig: it has {len(found)} cameras, and there are {n} recordings: give one camera each"
         )
-    check_cameras(rig)
-    if len(rig) != n:
-        raise SsacError(
-            f"rig: it has {len(rig)} cameras, and there are {n} recordings: give one camera each"
-        )
-    return rig
+    return found
 
 
 def opened(
@@ -180,7 +175,7 @@ def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
     """Give a config with some fields replaced; SsacError for one that it does not have."""
     config = Config() if config is None else config
     if not isinstance(config, Config):
-        raise SsacError(f"config: expected a ssac.Config, got {_kind(config)}")
+        raise SsacError(f"config: expected a ssac.Config, got {kind_of(config)}")
     known = Config.__dataclass_fields__
     for name in fields:
         if name not in known:
@@ -209,7 +204,7 @@ def _opened(
         return Observation(events_of_array(seen, name))
     raise SsacError(
         f"{name}: expected a file, a structured array of events with the fields t, x, y and p, a"
-        f" ssac.Observation, or what load_events or load_track gave, got {_kind(seen)}"
+        f" ssac.Observation, or what load_events or load_track gave, got {kind_of(seen)}"
     )
 
 
@@ -230,16 +225,3 @@ def _same_file(one: object, other: object) -> bool:
     if first == second and bag_of(first) is not None:  # and perhaps a topic in it
         return True
     return first.exists() and second.exists() and first.samefile(second)
-
-
-def _kind(value: object) -> str:
-    """Name what came in the place of something else."""
-    text = repr(value)
-    return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
-
-
-def _pixels_of_mean(frames: NDArray[np.uint8]) -> Array:
-    """Means of frames (n, height, width), as images of one pixel (n, 1, 1)."""
-    from ssac.methods.correlations import frame_means
-
-    return frame_means(frames)[:, None, None]

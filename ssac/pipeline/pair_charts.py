@@ -1,11 +1,21 @@
-"""Charts of what two cameras' answer rests on: cost, residuals, samples, and the clock's drift."""
+"""Charts of what two cameras' answer rests on: cost, residuals, samples, and the clock's drift.
 
-from collections.abc import Sequence
+Matplotlib draws them as SVG, with colours that follow the reader's theme.
+"""
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from urllib.parse import quote
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ssac.arrays import Array, Mask
+from ssac.arrays import Array
 from ssac.camera import Camera
 from ssac.estimate import Status
 from ssac.fit.covariance import NORMAL_95
@@ -14,10 +24,49 @@ from ssac.geometry.epipolar import robust_deviation, sampson_distance
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.tangency import for_blind, tangent_times, tangents_under
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.charts import Chart, spread
-from ssac.pipeline.plots import ZOOM_S, Material, d_avg_px, search_curve
-from ssac.pipeline.streams import Seen, density_png, grid_of
+from ssac.pipeline.plots import (
+    BLUE,
+    RED,
+    YELLOW,
+    Material,
+    draw_costs,
+    draw_minimum,
+    has_costs,
+    has_fit,
+)
+from ssac.pipeline.streams import Grid, Seen, densities, grid_of
 from ssac.track.motion import ObjectMotion
+
+_INK, _FAINT = "#1d232b", "#c9ccd1"
+_ON_PAGE = {  # what stands for a colour on light and on dark ground
+    BLUE: ("#2464b0", "#5fa8ee"),
+    YELLOW: ("#b0620f", "#f0a63c"),
+    RED: ("#c2185b", "#ff5c93"),
+    _INK: (_INK, "#e6e8eb"),
+    _FAINT: (_FAINT, "#454c56"),
+}
+_STYLE = {
+    "axes.edgecolor": _FAINT,
+    "axes.grid": True,
+    "font.size": 9.0,
+    "grid.color": _FAINT,
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "path.simplify": False,  # which takes dots away
+    "svg.fonttype": "none",
+    "svg.hashsalt": "ssac",  # the same chart is the same text
+    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.color", "ytick.color"), _INK),
+}
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A picture, and what it says in words."""
+
+    title: str
+    words: str  # what is to be seen
+    svg: str  # in a URL's alphabet
+    is_wide: bool
 
 
 @dataclass(frozen=True)
@@ -29,11 +78,6 @@ class Fit:
     points_px: tuple[Array, Array]  # (n, 2) each
     distances_px: Array  # (n,) signed Sampson distances
 
-    @property
-    def sigma_px(self) -> float:
-        """Their robust deviation."""
-        return robust_deviation(self.distances_px)
-
 
 def charts_of(answer: Answer, material: Material, most: int) -> dict[str, list[Chart]]:
     """Draw all that an answer allows, by what it is of, with so many dots in a chart at most."""
@@ -43,6 +87,46 @@ def charts_of(answer: Answer, material: Material, most: int) -> dict[str, list[C
         "residuals": [] if fit is None else _residual_charts(fit, material, most),
         "clock": _clock_charts(material),
     }
+
+
+@contextmanager
+def _chart(
+    charts: list[Chart],
+    title: str,
+    words: str,
+    width_in: float = 4.0,
+    height_in: float = 2.0,
+) -> Iterator[Axes]:
+    """Give axes of a size, and put what is drawn on them among the charts."""
+    left_in, below_in, around_in = 0.75, 0.7, 0.1
+    whole_in = left_in + width_in + around_in, below_in + height_in + around_in
+    box = left_in / whole_in[0], below_in / whole_in[1]
+    with rc_context(_STYLE):
+        figure = Figure(whole_in)
+        axes = figure.add_axes((*box, width_in / whole_in[0], height_in / whole_in[1]))
+        yield axes
+        handles, names = axes.get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, names, loc="lower left", ncols=4, fontsize="small")
+        drawn = io.StringIO()
+        unsaid = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(drawn, format="svg", transparent=True, metadata=unsaid)
+    svg = re.sub(r"(\.\d)\d+", r"\1", drawn.getvalue())  # tenths of a point are enough
+    themes = ["", ""]
+    for k, (color, shown) in enumerate(_ON_PAGE.items()):
+        svg = svg.replace(color.lower(), f"var(--c{k})")
+        themes = [theme + f"--c{k}:{one};" for theme, one in zip(themes, shown, strict=True)]
+    light, dark = (f":root{{{theme}}}" for theme in themes)
+    style = f"{light}@media(prefers-color-scheme:dark){{{dark}}}"
+    svg = svg.replace('<style type="text/css">', f'<style type="text/css">{style}', 1)
+    charts.append(Chart(title, words, quote(svg, " /;=,+"), width_in > 4.0))
+
+
+def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") -> None:
+    """Draw points (n, 2) as strokes without a length, which take a tenth of a marker's text."""
+    places = np.repeat(points, 3, axis=0)
+    places[2::3] = np.nan
+    axes.plot(*places.T, color=color, lw=size, solid_capstyle="round", label=name or "_")
 
 
 def _fit_of(answer: Answer, material: Material) -> Fit | None:
@@ -70,213 +154,157 @@ def _fit_of(answer: Answer, material: Material) -> Fit | None:
 
 def _cost_charts(material: Material) -> list[Chart]:
     """Draw the cost over the offsets that were searched, and near the one that was found."""
-    estimate = material.estimate
-    t_d_s, charts = estimate.t_d_s, list[Chart]()
-    if np.isfinite(estimate.costs).any() or (estimate.F is not None and np.isfinite(t_d_s)):
-        offsets_s, costs = search_curve(material)
-        of_correlation = estimate.F is None and np.nanmin(costs) < 0.0
-        costs = -costs if of_correlation else costs
-        what = "Correlation" if of_correlation else "Mean distance from the epipolar lines"
-        # Clocks may be years apart, and ticks must tell them from each other.
-        base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
-        top = spread(costs)[1]
-        found = f" The best lies at {t_d_s:.4f} s." if np.isfinite(t_d_s) else ""
-        others = ", ".join(f"{one_s:.3f}" for one_s in estimate.alternatives_s)
-        more = f" Others that fit nearly as well: {others} s." if others else ""
-        chart = Chart(
-            "Cost over the search interval",
-            f"{what} at each offset that was tried: one deep, narrow minimum means one answer."
-            + found + more,
-            f"offset - {base_s:.0f} s [s]" if base_s else "offset [s]",
-            "correlation" if of_correlation else "distance [px]",
-            spread(offsets_s - base_s, 0.0),
-            (min(0.0, float(np.nanmin(costs))), top),
-        )  # fmt: skip
-        chart.line("soft", offsets_s - base_s, costs)
-        if np.isfinite(t_d_s):
-            chart.upright(
-                "found", t_d_s - base_s, "offset found" if estimate.has_offset else "best of all"
-            )
-        for k, other_s in enumerate(estimate.alternatives_s.tolist()):
-            chart.upright("other", other_s - base_s, "" if k else "also possible")
-        charts.append(chart)
-    if estimate.F is not None and np.isfinite(t_d_s):
-        half_s, ends_s = ZOOM_S, NORMAL_95 * estimate.t_d_std_s * np.array([-1.0, 1.0])
-        if np.isfinite(estimate.t_d_std_s):
-            half_s = max(half_s, 2.0 * float(ends_s[1]))
-        near_s = np.linspace(-half_s, half_s, 121, dtype=np.float64)
-        costs_px = d_avg_px(material, t_d_s + near_s)
-        chart = Chart(
-            "Near the minimum",
-            "The same about the offset found, with the final geometry: how wide it is says how"
-            " sharply the motion tells the offset.",
-            "offset - offset found [ms]",
-            "distance [px]",
-            (-1e3 * half_s, 1e3 * half_s),
-            (0.0, spread(costs_px)[1]),
+    estimate, charts = material.estimate, list[Chart]()
+    t_d_s, others_s = estimate.t_d_s, estimate.alternatives_s
+    if has_costs(material):
+        words = (
+            "How well the views fit at each offset that was tried: one deep, narrow minimum (of a"
+            " correlation: one high peak) means one answer."
         )
-        if np.isfinite(estimate.t_d_std_s):
-            chart.band("sure", 1e3 * ends_s, np.zeros(2), np.full(2, chart.y[1]), "95 % interval")
-        chart.line("soft", 1e3 * near_s, costs_px)
-        chart.upright("found", 0.0, "offset found")
-        charts.append(chart)
+        if np.isfinite(t_d_s):
+            words += f" The best lies at {t_d_s:.4f} s."
+        if len(others_s):
+            words += f" Others fit nearly as well: {', '.join(f'{s:.3f}' for s in others_s)} s."
+        with _chart(charts, "Cost over the search interval", words) as axes:
+            draw_costs(axes, material)
+    if has_fit(material):
+        words = (
+            "The same about the offset found, with the final geometry: how wide it is says how"
+            " sharply the motion tells the offset."
+        )
+        with _chart(charts, "Near the minimum", words) as axes:
+            draw_minimum(axes, material)
     return charts
 
 
 def _residual_charts(fit: Fit, material: Material, most: int) -> list[Chart]:
     """Draw what is left of the pairs over time, as a histogram, and over both images."""
-    sigma_px, off_px = fit.sigma_px, fit.distances_px
+    off_px, charts = fit.distances_px, list[Chart]()
+    sigma_px = max(robust_deviation(off_px), 1e-12)
     thin = slice(None, None, 1 + len(off_px) // most)
-    reach_px = float(np.clip(6.0 * sigma_px, 1e-3, None))
+    reach_px = max(6.0 * sigma_px, 1e-3)
     beyond = int(np.count_nonzero(np.abs(off_px) > reach_px))
-    start_s = material.motions[0].span_s[0]
-    since_s = fit.times_s - start_s
-    out = f" {beyond} of {len(off_px)} lie beyond the edges." if beyond else ""
-    over_time = Chart(
-        "Residuals over time",
+    words = (
         f"How far the {fit.what} lie from their epipolar lines: with the right clock the cloud is"
-        f" level and equally wide all along, here {sigma_px:.2f} px (1 sigma).{out}",
-        "time since the start of camera 1 [s]",
-        "distance [px]",
-        spread(since_s, 0.01),
-        (-reach_px, reach_px),
+        f" level and equally wide all along, here {sigma_px:.2f} px (1 sigma)."
     )
-    over_time.line("faint", np.array(over_time.x), np.zeros(2))
-    over_time.dots("near", since_s[thin], off_px[thin])
-    edges = np.linspace(-reach_px, reach_px, 41, dtype=np.float64)
-    heights = np.histogram(off_px, edges)[0].astype(np.float64)
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    bell = np.exp(-0.5 * (middles / sigma_px) ** 2) if sigma_px > 0.0 else np.zeros(40)
-    bell *= len(off_px) * (edges[1] - edges[0]) / (np.sqrt(2.0 * np.pi) * max(sigma_px, 1e-12))
-    histogram = Chart(
-        "Residuals as a histogram",
+    if beyond:
+        words += f" {beyond} of {len(off_px)} lie beyond the edges."
+    with _chart(charts, "Residuals over time", words) as axes:
+        since_s = fit.times_s - material.motions[0].span_s[0]
+        _dots(axes, np.column_stack([since_s, off_px])[thin], BLUE, 3.0)
+        axes.set(xlabel="time since the start of camera 1 [s]", ylabel="distance [px]")
+        axes.set_ylim(-reach_px, reach_px)
+    words = (
         "Beside a normal distribution of the same robust width. Long tails are outliers, which"
-        " count little in the fit; a second hill, or a middle beside 0, would be a wrong model.",
-        "distance [px]",
-        "pairs",
-        (-reach_px, reach_px),
-        (0.0, 1.08 * max(float(heights.max()), float(bell.max()), 1.0)),
+        " count little in the fit; a second hill, or a middle beside 0, would be a wrong model."
     )
-    histogram.bars("near", edges, heights, "pairs")
-    histogram.line("found", middles, bell, "normal distribution")
-    charts = [over_time, histogram]
+    with _chart(charts, "Residuals as a histogram", words) as axes:
+        edges = np.linspace(-reach_px, reach_px, 41, dtype=np.float64)
+        axes.hist(off_px, edges.tolist(), color=BLUE, alpha=0.5, label="pairs")
+        bell = np.exp(-0.5 * (edges / sigma_px) ** 2) / (np.sqrt(2.0 * np.pi) * sigma_px)
+        share = len(off_px) * (edges[1] - edges[0])
+        axes.plot(edges, share * bell, color=RED, label="normal distribution")
+        axes.set(xlabel="distance [px]", ylabel="pairs", xlim=(-reach_px, reach_px))
     classes = (
-        ("small", 0.0, 1.0, "below 1 sigma"),
-        ("medium", 1.0, 3.0, "1 to 3"),
-        ("large", 3.0, np.inf, "above 3"),
+        (BLUE, 3.0, 0.0, 1.0, "below 1 sigma"),
+        (YELLOW, 3.0, 1.0, 3.0, "1 to 3"),
+        (RED, 5.0, 3.0, np.inf, "above 3"),
     )
-    shares = np.abs(off_px) / max(sigma_px, 1e-12)
+    shares = np.abs(off_px[thin]) / sigma_px
+    words = "Large ones in one part of the image alone speak of a wrong lens or intrinsics."
     for k, camera in enumerate(material.cameras):
-        chart = _image_chart(
-            f"Residuals in camera {k + 1}'s image",
-            "Large ones in one part of the image alone speak of a wrong lens or intrinsics.",
-            camera,
-        )
-        x, y = fit.points_px[k].T
-        for look, low, high, name in classes:
-            shown = (shares[thin] >= low) & (shares[thin] < high)
-            chart.dots(look, x[thin][shown], y[thin][shown], name)
-        charts.append(chart)
+        with _image_chart(charts, f"Residuals in camera {k + 1}'s image", words, camera) as axes:
+            for color, size, low, high, name in classes:
+                shown = (shares >= low) & (shares < high)
+                _dots(axes, fit.points_px[k][thin][shown], color, size, name)
     return charts
 
 
 def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
     """Draw when and where cameras saw the object well, and where not."""
-    start_s = cameras[0].span_s[0]
+    start_s, charts, strips = cameras[0].span_s[0], list[Chart](), list[tuple[Array, int, str]]()
     is_common = all(seen.later_s is not None for seen in cameras)
-    over_time = Chart(
-        "When each camera sees the object",
-        "Blue where a sample is valid, "
-        f"{'on the clock of camera 1' if is_common else 'each on its own clock'}: only what two see"
-        " at one time tells anything.",
-        "time since the start of camera 1 [s]",
-        "",
-        spread(
-            [end_s - start_s - (seen.later_s or 0.0) for seen in cameras for end_s in seen.span_s]
-        ),
-        (float(len(cameras)), 0.0),
-        rows=tuple(f"camera {k}" for k, _ in enumerate(cameras, start=1)),
-    )
-    charts = [over_time]
     for k, seen in enumerate(cameras):
         times_s = np.linspace(*seen.span_s, most, dtype=np.float64)
         track, motion, grid = seen.motion.at(times_s), seen.motion, grid_of(seen.clean.camera)
-        few, why, of_events = ~track.valid, "in gaps of the track", False
+        few, why, name = ~track.valid, "in gaps of the track", "gap"
         if isinstance(motion, ObjectMotion):
-            of_events = True
-            few = few & (track.counts < motion.n_min)
+            few, name = few & (track.counts < motion.n_min), "too few events"
             why = f"with fewer than {motion.n_min} events within {1e3 * motion.half_window_s:g} ms"
         edge = ~track.valid & ~few
-        chart = _image_chart(
-            f"Samples in camera {k + 1}'s image",
+        words = (
             f"Of {most} even times {np.count_nonzero(track.valid)} are valid; rejected are"
             f" {np.count_nonzero(few)} {why} and {np.count_nonzero(edge)} that touch the border or"
-            " a gap. Grey: all events.",
-            seen.clean.camera,
-            png=density_png(seen, grid),
+            " a gap. Grey: all events."
         )
-        for look, which, name in (
-            ("good", track.valid, "valid"),
-            ("few", few, "too few events" if of_events else "gap"),
-            ("edge", edge, "at the border, or a gap"),
-        ):
-            x, y = track.positions_px[which].T
-            chart.dots(look, x, y, name if which.any() else "")
-            since_s = times_s - start_s - (seen.later_s or 0.0)
-            over_time.line(f"strip {look}", *_runs(since_s, which, k + 0.5))
-        charts.append(chart)
-    return charts
-
-
-def _runs(times_s: Array, which: Mask, y: float) -> tuple[Array, Array]:
-    """Give a level line (m,) over the times (n,) that are meant, broken elsewhere."""
-    if len(times_s) < 2 or not which.any():
-        return np.empty(0), np.empty(0)
-    half_s = 0.5 * (times_s[1] - times_s[0])
-    edges = np.diff(np.concatenate([[0], which.astype(int), [0]]))
-    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
-    x = np.column_stack(
-        [times_s[first] - half_s, times_s[last] + half_s, np.full(len(first), np.nan)]
+        title, camera = f"Samples in camera {k + 1}'s image", seen.clean.camera
+        with _image_chart(charts, title, words, camera) as axes:
+            extent = *axes.get_xlim(), *axes.get_ylim()
+            axes.imshow(densities(seen, grid), extent=extent, interpolation="none")
+            for which, color, label in (
+                (track.valid, BLUE, "valid"),
+                (few, RED, name),
+                (edge, YELLOW, "at the border, or a gap"),
+            ):
+                if which.any():
+                    _dots(axes, track.positions_px[which], color, 3.0, label)
+                since_s = times_s - start_s - (seen.later_s or 0.0)
+                strips.append((np.where(which, since_s, np.nan), k, color))
+    words = (
+        "Blue where a sample is valid,"
+        f" {'on the clock of camera 1' if is_common else 'each on its own clock'}: only what two"
+        " see at one time tells anything."
     )
-    return x.ravel(), np.full(x.size, y)
+    over_time = list[Chart]()
+    height_in = 0.3 * len(cameras)
+    with _chart(over_time, "When each camera sees the object", words, 9.0, height_in) as axes:
+        for since_s, k, color in strips:
+            axes.plot(since_s, np.full(len(since_s), k), color=color, lw=9.0)
+        names = [f"camera {k + 1}" for k in range(len(cameras))]
+        axes.set_yticks(range(len(cameras)), names)
+        axes.set(xlabel="time since the start of camera 1 [s]", ylim=(len(cameras) - 0.5, -0.5))
+    return over_time + charts
 
 
-def _image_chart(title: str, words: str, camera: Camera, png: str = "") -> Chart:
-    grid = grid_of(camera)
-    right_px = grid.left_px + grid.cell_px * grid.columns
-    bottom_px = grid.top_px + grid.cell_px * grid.rows
-    edges = (grid.left_px, right_px), (bottom_px, grid.top_px)
-    return Chart(title, words, "x [px]", "y [px]", *edges, f"{grid.columns} / {grid.rows}", png=png)
+@contextmanager
+def _image_chart(charts: list[Chart], title: str, words: str, camera: Camera) -> Iterator[Axes]:
+    """Give axes of what a camera sees, its lens taken out."""
+    grid: Grid = grid_of(camera)
+    with _chart(charts, title, words, height_in=4.0 * grid.rows / grid.columns) as axes:
+        right_px = grid.left_px + grid.cell_px * grid.columns
+        bottom_px = grid.top_px + grid.cell_px * grid.rows
+        axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal", autoscale_on=False)
+        axes.set(xlim=(grid.left_px, right_px), ylim=(bottom_px, grid.top_px))
+        yield axes
 
 
 def _clock_charts(material: Material) -> list[Chart]:
     """Draw how camera 2's clock drifts; nothing where it was taken to run as camera 1's."""
-    estimate = material.estimate
+    estimate, charts = material.estimate, list[Chart]()
     if not (estimate.has_offset and np.isfinite(estimate.skew_ppm)):
         return []
     begin_s, end_s = material.views.common_s(estimate.t_d_s)
     if not begin_s < end_s:
         return []
+    start_s = material.motions[0].span_s[0]
     knots_s = estimate.knots_s[(estimate.knots_s > begin_s) & (estimate.knots_s < end_s)]
     times_s = np.sort(np.concatenate([np.linspace(begin_s, end_s, 121, dtype=np.float64), knots_s]))
     more_ms = 1e3 * estimate.clock.added_s(times_s)
     off_ms = NORMAL_95 * 1e3 * np.nan_to_num(estimate.clock_std_s(times_s))
-    since_s = times_s - material.motions[0].span_s[0]
-    words = "A straight line is a constant skew"
+    model = "A straight line is a constant skew"
     if len(estimate.knots_s):
-        words = f"A line of pieces with {len(estimate.knots_s)} knots: the clock wanders"
-    chart = Chart(
-        "Drift of camera 2's clock",
-        f"What it shows more than camera 1's, less the offset. {words};"
-        f" on the whole {estimate.skew_ppm:+.1f} ppm.",
-        "time since the start of camera 1 [s]",
-        "drift [ms]",
-        (float(since_s[0]), float(since_s[-1])),
-        spread(np.concatenate([more_ms - off_ms, more_ms + off_ms])),
+        model = f"A line of pieces with {len(estimate.knots_s)} knots: the clock wanders"
+    words = (
+        f"What it shows more than camera 1's, less the offset. {model};"
+        f" on the whole {estimate.skew_ppm:+.1f} ppm."
     )
-    chart.band("sure", since_s, more_ms - off_ms, more_ms + off_ms, "95 % interval")
-    chart.line("found", since_s, more_ms, "drift found")
-    if len(knots_s):
-        at_ms = 1e3 * estimate.clock.added_s(knots_s)
-        chart.dots("knots", knots_s - material.motions[0].span_s[0], at_ms, "knots")
-    return [chart]
+    with _chart(charts, "Drift of camera 2's clock", words) as axes:
+        ends = times_s - start_s, more_ms - off_ms, more_ms + off_ms
+        axes.fill_between(*ends, color=RED, alpha=0.2, lw=0.0, label="95 % interval")
+        axes.plot(times_s - start_s, more_ms, color=RED, label="drift found")
+        if len(knots_s):
+            knots_ms = 1e3 * estimate.clock.added_s(knots_s)
+            axes.plot(knots_s - start_s, knots_ms, "o", color=_INK, ms=4.0, label="knots")
+        axes.set(xlabel="time since the start of camera 1 [s]", ylabel="drift [ms]")
+    return charts

@@ -2,7 +2,6 @@
 
     search      d_avg over the search interval and near its minimum, as the paper's Fig. 5
     epipolar    p1, p2, the line l1 and the distance d, as the paper's Fig. 4, before and after
-    alignment   what both cameras see over time, before and after the clocks are aligned
     comparison  an estimated path beside a reference, as the paper's Fig. 7
 
 "Before" pairs equal readings of both clocks, "after" pairs readings that differ by t_d. The colours
@@ -20,10 +19,12 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from ssac.arrays import Array as Array
 from ssac.camera import Camera, undistortion_map
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
+from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.geometry.pose import rays_of
 from ssac.pipeline.answer import Answer
@@ -34,13 +35,11 @@ from ssac.track.motion import Motion
 if TYPE_CHECKING:
     from ssac.network.comparison import Comparison, InTime
 
-Array = NDArray[np.float64]
 Canvas = Figure | SubFigure
 Draw = Callable[[Canvas, "Material"], None]
 
 BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 
-CAMERA_COLORS = BLUE, YELLOW
 POLARITIES = Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker")
 ZOOM_S = 0.003  # half the width of the zoom around the minimum, as in the paper's Fig. 5
 
@@ -75,31 +74,29 @@ class Material:
     def window(
         self, camera: int, time_s: float, half_length_s: float, most: int | None = None
     ) -> tuple[NDArray[np.void], Array]:
-        """Give events of camera 0 or 1 around a time of its clock, and undistorted points (n, 2).
-
-        About so many at most; NaN where the lens model has no point.
-        """
+        """Give events of camera 0 or 1 around a time of its clock, about so many, and points."""
         bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
         events = slice_time(self.events[camera], *bounds_us)
         events = events if most is None else events[:: max(1, len(events) // most)]
-        if self.cameras[camera].distortion_model == "none":
-            return events, np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
-        table = undistortion_map(self.cameras[camera])
-        return events, np.asarray(table[events["y"], events["x"]])
+        return events, ideal_points(self.cameras[camera], events)
+
+
+def ideal_points(camera: Camera, events: NDArray[np.void]) -> Array:
+    """Give undistorted points (n, 2) of events; NaN where the lens model has none."""
+    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
 
 
 def material_of(answer: Answer) -> Material:
     """Give what may be drawn of two cameras."""
-    one, other = answer.cleans
-    views = answer.views.under(answer.estimate.clock)
-    return Material(answer.estimate, (one.events, other.events), views)
+    (one, other), estimate = answer.cleans, answer.estimate
+    return Material(estimate, (one.events, other.events), answer.views.under(estimate.clock))
 
 
 @dataclass(frozen=True)
 class EpipolarRow:
     """One row of the epipolar figure: camera 2 is looked at `offset_s` after camera 1."""
 
-    name: str
+    name: str  # which clocks
     offset_s: float
     time_s: float  # camera 1's clock
     p1: Array  # (2,) [px]
@@ -135,14 +132,11 @@ def page_of(material: Material) -> Figure | None:
 
 def figures_of(material: Material) -> list[tuple[str, float, Draw]]:
     """List the figures that an estimate allows: name, height [in] and who draws it."""
-    estimate, found = material.estimate, list[tuple[str, float, Draw]]()
-    has_fit = estimate.F is not None and bool(np.isfinite(estimate.t_d_s))
-    if has_fit or np.isfinite(estimate.costs).any():
+    found = list[tuple[str, float, Draw]]()
+    if has_costs(material):
         found.append(("d_avg", 3.2, draw_search))
-    if has_fit:
+    if has_fit(material):
         found.append(("epipolar", 3.6 * len(epipolar_rows(material)), draw_epipolar))
-    if has_fit and estimate.R is not None:
-        found.append(("alignment", 7.0, draw_alignment))
     return found
 
 
@@ -160,34 +154,62 @@ def _save(page: Figure, path: Path, dpi: int) -> None:
         page.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
 
 
+def has_fit(material: Material) -> bool:
+    """Whether there are epipolar lines, and times at which they belong together."""
+    return material.estimate.F is not None and bool(np.isfinite(material.estimate.t_d_s))
+
+
+def has_costs(material: Material) -> bool:
+    """Whether there is a cost at each offset: the method's own, or that of its F."""
+    return has_fit(material) or bool(np.isfinite(material.estimate.costs).any())
+
+
 def draw_search(canvas: Canvas, material: Material) -> None:
     """Draw the cost over the search interval, and near its minimum where the method has an F."""
+    whole, *rest = canvas.subplots(1, 1 + has_fit(material), squeeze=False)[0]
+    draw_costs(whole, material)
+    whole.set_title("Over the search interval")
+    for axes in rest:
+        draw_minimum(axes, material)
+        axes.set_title("Near the offset found, with the final F")
+    for axes in (whole, *rest):
+        axes.legend(loc="best", fontsize="small")
+
+
+def draw_costs(axes: Axes, material: Material) -> None:
+    """Draw the cost, or the correlation, at all offsets that were tried."""
     estimate, t_d_s = material.estimate, material.estimate.t_d_s
-    F = estimate.F if np.isfinite(t_d_s) else None
-    whole, *rest = canvas.subplots(1, 1 if F is None else 2, squeeze=False)[0]
     offsets_s, costs = search_curve(material)
+    # Clocks may be years apart, and ticks must tell them from each other.
+    base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
     if estimate.F is None and np.nanmin(costs) < 0.0:
-        whole.plot(offsets_s, -costs, color=BLUE, lw=1)
-        whole.set(ylabel="correlation", title="Correlation over the search interval")
+        axes.plot(offsets_s - base_s, -costs, color=BLUE, lw=1.2)
+        axes.set_ylabel("correlation")
     else:
         marker = "." if len(offsets_s) <= 300 else ""
-        whole.plot(offsets_s, costs, "-", marker=marker, color=BLUE, lw=1, ms=3)
-        whole.set(ylabel="$d_{avg}$ [px]", title="$d_{avg}$ over the search interval")
-        whole.set_ylim(bottom=0.0)
-    whole.set_xlabel("offset $t_d$ [s]")
+        axes.plot(offsets_s - base_s, costs, "-", marker=marker, color=BLUE, lw=1.2, ms=3)
+        axes.set_ylabel("$d_{avg}$ [px]")
+        axes.set_ylim(bottom=0.0)
+    for k, other_s in enumerate(estimate.alternatives_s.tolist()):
+        name = "_" if k else "also possible"
+        axes.axvline(other_s - base_s, color=YELLOW, lw=1.2, ls="--", label=name)
+    axes.set_xlabel(f"offset $t_d$ - {base_s:.0f} s [s]" if base_s else "offset $t_d$ [s]")
     if np.isfinite(t_d_s):
-        _mark_offset(whole, t_d_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms")
-    for zoom in rest:
-        n_steps = round(ZOOM_S / 50e-6)
-        near_s: Array = t_d_s + 50e-6 * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
-        zoom.plot(1e3 * near_s, d_avg_px(material, near_s), color=BLUE, lw=1)
-        _mark_offset(zoom, 1e3 * t_d_s, f"$t_d$ = {1e3 * t_d_s:.3f} ms")
-        zoom.ticklabel_format(useOffset=False)
-        zoom.set(
-            xlabel="offset $t_d$ [ms]",
-            ylabel="$d_{avg}$ [px]",
-            title="Near the offset found, with the final F",
-        )
+        what = "" if estimate.has_offset else ", the best of all"
+        _mark_offset(axes, t_d_s - base_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms{what}")
+
+
+def draw_minimum(axes: Axes, material: Material) -> None:
+    """Draw the cost about the offset found, with the F that goes with it."""
+    t_d_s, std_s = material.estimate.t_d_s, material.estimate.t_d_std_s
+    reach_s = max(ZOOM_S, 4.0 * std_s) if np.isfinite(std_s) else ZOOM_S
+    near_s: Array = np.linspace(-reach_s, reach_s, 121, dtype=np.float64)
+    axes.plot(1e3 * near_s, d_avg_px(material, t_d_s + near_s), color=BLUE, lw=1.2)
+    if np.isfinite(std_s):
+        ends_ms = NORMAL_95 * 1e3 * std_s * np.array([-1.0, 1.0])
+        axes.axvspan(*ends_ms, color=RED, alpha=0.2, lw=0.0, label="95 % interval")
+    _mark_offset(axes, 0.0, f"$t_d$ = {1e3 * t_d_s:.3f} ms")
+    axes.set(xlabel="offset - offset found [ms]", ylabel="$d_{avg}$ [px]", ylim=(0.0, None))
 
 
 def draw_epipolar(canvas: Canvas, material: Material) -> None:
@@ -218,47 +240,6 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
     canvas.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
 
 
-def draw_alignment(canvas: Canvas, material: Material) -> None:
-    """Draw both event clouds in x-y-t, and the angle of their epipolar planes over time.
-
-    The plane through both cameras and a point has one angle about the baseline, the same for both
-    views whatever the point: only what is seen at one instant has equal angles.
-    """
-    start_s, length_s = telling_stretch(material)
-    pairings = clocks(material.estimate.t_d_s)
-    clouds = [
-        _points_in_time(material, camera, start_s + pairings[camera][1], length_s)
-        for camera in (0, 1)
-    ]
-    for column, (name, offset_s) in enumerate(pairings):
-        axes = canvas.add_subplot(2, 2, 1 + column, projection="3d")
-        for camera, (times_s, points) in enumerate(clouds):
-            shown_s, color = times_s - camera * offset_s, CAMERA_COLORS[camera]
-            label = f"camera {camera + 1}"
-            axes.scatter(shown_s, points[:, 0], points[:, 1], s=0.4, color=color, label=label)
-        axes.set(xlabel="time [s]", ylabel="x [px]", zlabel="y [px]")
-        axes.invert_zaxis()
-        axes.set_title(f"Events of both cameras, {name}", pad=-10)
-        axes.set_box_aspect((1.6, 1.0, 1.0), zoom=0.95)
-        axes.locator_params(nbins=4)
-        axes.xaxis.labelpad = 10
-        axes.legend(loc="upper right", fontsize="small", markerscale=12)
-    for column, (name, offset_s) in enumerate(pairings):
-        axes = canvas.add_subplot(2, 2, 3 + column)
-        _draw_angles(axes, material, offset_s, start_s, length_s)
-        axes.set(
-            xlabel="time, camera 1's clock [s]",
-            ylabel="angle of epipolar plane [deg]",
-            xlim=(start_s, start_s + length_s),
-            title=f"Both cameras, {name}",
-        )
-
-
-def clocks(t_d_s: float) -> tuple[tuple[str, float], tuple[str, float]]:
-    """Name and offset of the two ways to pair the clocks."""
-    return ("clocks as recorded", 0.0), ("clocks aligned", t_d_s)
-
-
 def search_curve(material: Material) -> tuple[Array, Array]:
     """Offsets and costs that the method tried; d_avg of its F when it kept none."""
     estimate = material.estimate
@@ -285,7 +266,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     pairs = material.views.pairs_at(t_d_s)
     times_s = pairs.times_s
     before = motion2.at(times_s)
-    pairings = list(clocks(t_d_s))
+    pairings = [("clocks as recorded", 0.0), ("clocks aligned", t_d_s)]
     if before.valid.any() and abs(t_d_s) > 0.0:
         times_s = times_s[before.valid]
         distances = epipolar_distance(
@@ -334,19 +315,9 @@ def plane_angles(material: Material, camera: int, points: Array) -> Array:
     return np.asarray(np.degrees(np.arctan2(rays @ across, rays @ ahead)))
 
 
-def _points_in_time(
-    material: Material, camera: int, start_s: float, length_s: float
-) -> tuple[Array, Array]:
-    """Give times (n,) [s] and positions (n, 2) [px] of a stretch; more would blot the picture."""
-    half_s = 0.5 * length_s
-    events, points = material.window(camera, start_s + half_s, half_s, most=6000)
-    return events["t"] / US_PER_S, points
-
-
 def _mark_offset(axes: Axes, position: float, label: str) -> None:
     axes.axvline(position, color=RED, lw=1.2, ls="--", label=label, zorder=1)
     axes.locator_params("x", nbins=7)
-    axes.legend(loc="best", fontsize="small")
 
 
 def _draw_events(
@@ -359,29 +330,6 @@ def _draw_events(
     pixel_pt = 1.15 * width_pt / (2.0 * reach_px)  # a little more, lest they leave gaps
     x, y = points.T
     axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
-
-
-def _draw_angles(
-    axes: Axes, material: Material, offset_s: float, start_s: float, length_s: float
-) -> None:
-    """Draw the angles of both cameras' events and tracks; camera 2's moved by the offset."""
-    events, colors = [], []
-    for camera, shift_s in ((0, 0.0), (1, offset_s)):
-        times_s, points = _points_in_time(material, camera, start_s + shift_s, length_s)
-        events.append(np.column_stack([times_s - shift_s, plane_angles(material, camera, points)]))
-        colors += [CAMERA_COLORS[camera]] * len(times_s)
-    # In random order, lest one camera cover the other.
-    order = np.random.default_rng(0).permutation(len(colors))
-    times_s, angles = np.concatenate(events)[order].T
-    axes.scatter(times_s, angles, s=0.8, c=np.array(colors)[order], alpha=0.5)
-    grid_s: Array = np.linspace(start_s, start_s + length_s, 400, dtype=np.float64)
-    for camera, shift_s, style in ((0, 0.0, "-"), (1, offset_s, "--")):
-        track = material.motions[camera].at(grid_s + shift_s)
-        angles = np.where(track.valid, plane_angles(material, camera, track.positions_px), np.nan)
-        color, label = CAMERA_COLORS[camera], f"camera {camera + 1}"
-        axes.plot(grid_s, angles, "-", color="white", lw=4, zorder=3)
-        axes.plot(grid_s, angles, style, color=color, lw=2, zorder=4, label=label)
-    axes.legend(loc="best", fontsize="small")
 
 
 def save_comparison(file: Path, comparison: "Comparison") -> None:

@@ -11,11 +11,12 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, partial
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +44,7 @@ OURS = our_methods()
 class Registry(Mapping[str, Method]):
     """Our methods in their order, then those of other packages by name.
 
-    A package is imported when its method is looked up, so that a broken one stops nobody who does
-    not ask for it. The lookup raises SsacError when it is broken or its name is taken.
+    A broken package stops nobody who does not ask for it: looking its method up raises SsacError.
     """
 
     def __init__(self) -> None:
@@ -116,51 +116,41 @@ def choose_method(
     return variant
 
 
-@dataclass(frozen=True, eq=False)  # since the function need not be hashable
-class _CheckedFunction:
-    """Another package's method; what it raises or returns amiss is said to be that package's."""
+def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -> Estimate:
+    """Run another package's method; what it raises or returns amiss is said to be that package's.
 
-    function: EstimateFunction
-    origin: str
-    home: Path  # folder of the package, or its only file
-
-    def __call__(
-        self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-    ) -> Estimate:
-        try:
-            estimate = self.function(cam1, cam2, rig, config)
-        except SsacError:
-            raise
-        except Exception as error:
-            frames = traceback.extract_tb(error.__traceback__)
-            theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(self.home)]
-            # In which line of that package it arose, or was let through.
-            where = f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else self.home
-            raise PluginError(self._said(f"{type(error).__name__}: {error}", where)) from error
-        fault = _fault_of(estimate)
-        if fault:
-            raise PluginError(self._said(fault, self.home))
-        return estimate
-
-    def _said(self, fault: str, where: Path | str) -> str:
-        return f"{self.origin}: {fault} ({where}): a bug of that package"
-
-
-def _fault_of(estimate: object) -> str:
-    """Say what is wrong with what a method returned; it would spoil a table in silence."""
-    if not isinstance(estimate, Estimate):
-        return f"must return an Estimate, got {type(estimate).__name__}"
-    if not _STATUS.fullmatch(estimate.status):
-        return (
+    `home` is the package's folder, or its only file.
+    """
+    where: Path | str = home
+    try:
+        estimate: Any = function(*given)
+    except SsacError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(home)]
+        if theirs:  # in which line of that package it arose, or was let through
+            where = f"{theirs[-1].filename}, line {theirs[-1].lineno}"
+        raise PluginError(_bug(origin, f"{type(error).__name__}: {error}", where)) from error
+    if not isinstance(estimate, Estimate):  # which would spoil a table in silence
+        fault = f"must return an Estimate, got {type(estimate).__name__}"
+    elif not _STATUS.fullmatch(estimate.status):
+        fault = (
             f"returned the status {str(estimate.status)!r}: give one word of ssac.Status, or of"
             f" your own, that matches {_STATUS.pattern}"
         )
-    if estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
-        return (
+    elif estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
+        fault = (
             f'returned t_d_s = {estimate.t_d_s} with status "ok": give the reason\'s name as the'
             " status when there is no offset"
         )
-    return ""
+    else:
+        return estimate
+    raise PluginError(_bug(origin, fault, where))
+
+
+def _bug(origin: str, fault: str, where: Path | str) -> str:
+    return f"{origin}: {fault} ({where}): a bug of that package"
 
 
 def _method_from(entry: EntryPoint) -> Method:
@@ -190,7 +180,7 @@ def _method_from(entry: EntryPoint) -> Method:
     assert function is not None  # whose signature was bound
     return replace(
         found,
-        estimate=_CheckedFunction(function, origin, _home(entry)),
+        estimate=partial(_checked, function, origin, _home(entry)),
         runs="",  # which are ours alone
         starts_from="",
         keeps_start="",

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -116,24 +117,22 @@ def _objects_row(answer: Answer) -> list[tuple[str, str]]:
     return [("objects", "; ".join(parts))]
 
 
+def rows_of(text: str) -> list[tuple[str, str]]:
+    """Give name and value of each line of a summary."""
+    return [(line[:_NAME].strip(), line[_NAME:].strip()) for line in text.splitlines()]
+
+
 def html_of(text: str) -> str:
     """Lay out the lines of a summary as a table, for notebooks."""
-    from html import escape
-
-    rows = [(line[:_NAME].strip(), line[_NAME:].strip()) for line in text.splitlines()]
-    cells = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th>"
-        f"<td style='text-align:left'>{escape(value)}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{cells}</table>"
+    left = "style='text-align:left'"
+    rows = [f"<th {left}>{escape(a)}</th><td {left}>{escape(b)}</td>" for a, b in rows_of(text)]
+    return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
-def save_json(path: Path, answer: Answer) -> None:
-    """Write `report_json`; the file appears only when it is complete."""
+def save_json(path: Path, told: dict[str, Any]) -> None:
+    """Write what is laid out for machines; the file appears only when it is complete."""
     rows = [
-        f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
-        for key, value in report_json(answer).items()
+        f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in told.items()
     ]
     with whole_file(path) as temporary:
         temporary.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")

@@ -76,11 +76,6 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
     )
 
 
-def is_within(found: Estimate, rates: Interval) -> bool:
-    """Whether an answer's clock runs at one of these rates: a jump may look faster."""
-    return found.has_offset and rates[0] <= 1.0 + 1e-6 * found.skew_ppm <= rates[1]
-
-
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
     """Whether one faint object may be followed, where the usual windows give nothing."""
     if any(one.has_track for one in cleans) or not _has_usual_windows(asked):
@@ -156,12 +151,6 @@ def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
     return replace(found, status=Status.SEVERAL_OBJECTS, reason=reason)
 
 
-def doubt_from(rig: Rig, rules: VerdictRules) -> float:
-    """How much must speak against a rig that it counts as less certain; more if it states that."""
-    states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
-    return rules.max_against if states else rules.in_doubt
-
-
 def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
     """Give a rig that is as uncertain as an estimate says, as far as that is ordinary.
 
@@ -178,11 +167,6 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
             wider_px = np.maximum(stds_px, np.minimum(wider_px, most_px))
         cameras.append(replace(camera, intrinsics_std_px=tuple(wider_px.tolist())))
     return Rig(cameras[0], cameras[1], rig.T_2_1)
-
-
-def is_mended(by_other: Estimate, rules: VerdictRules) -> bool:
-    """Whether all agrees with a mended rig."""
-    return by_other.status == Status.OK and by_other.against <= rules.in_doubt
 
 
 def usual_mistake(

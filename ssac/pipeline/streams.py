@@ -10,24 +10,18 @@ import warnings
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ssac.arrays import Array, IntArray, Mask
-from ssac.camera import Camera, undistort_points, undistortion_map
-from ssac.errors import SsacError
+from ssac.camera import Camera, undistort_points
 from ssac.events import US_PER_S, slice_time
-from ssac.files.damage import Reading
-from ssac.files.event_files import load_events
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.network.graph import Pair
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.plots import Material, d_avg_px
+from ssac.pipeline.plots import Material, d_avg_px, ideal_points
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion
 
@@ -37,7 +31,7 @@ _MOST_EVENTS = 1_200_000  # of all cameras: 1 MB of the page; of noise 2.4
 _MOST_FRAMES, _LEAST_FRAME_S = 6000, 0.01
 _MOST_COLUMNS = 400  # of a frame
 _REACH_S = 1.0  # by which the offset can be moved where none was found
-_LEAST_REACH_S, _MOST_REACH_S = 0.1, 3.0  # and from what was found
+_REACHES_S = 0.1, 3.0  # and from what was found
 _FAR_PX = 60.0  # farther off the line than this tells no more
 _INVALID = -32768
 
@@ -71,14 +65,7 @@ class Seen:
         start_us, end_us = (round(side_s * US_PER_S) for side_s in span_s)
         events = slice_time(self.shown.events, start_us, end_us + 1)
         events = events[:: 1 + len(events) // most]
-        points = np.column_stack([events["x"], events["y"]]).astype(np.float64)
-        if camera.distortion_model != "none":
-            points = self._ideal[events["y"], events["x"]]
-        return events["t"] / US_PER_S, points, events["p"] > 0
-
-    @cached_property
-    def _ideal(self) -> Array:
-        return undistortion_map(self.shown.camera)
+        return events["t"] / US_PER_S, ideal_points(camera, events), events["p"] > 0
 
 
 @dataclass(frozen=True)
@@ -103,32 +90,26 @@ class Grid:
 def grid_of(camera: Camera) -> Grid:
     """Lay cells over what a camera sees, its lens taken out."""
     size = np.array([camera.width, camera.height], np.float64)
-    left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
-    if camera.distortion_model != "none":
-        sides = (np.linspace(0.0, side - 1.0, 33, dtype=np.float64) for side in size)
-        ideal = undistort_points(camera, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
-        ends = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
-        # The corners of a strong lens lie far out, and all else would be small beside them.
-        (left, top), (right, bottom) = np.clip(ends, -0.5 * size, 1.5 * size).tolist()
-    cell = max(1.0, float(right - left) / _MOST_COLUMNS)
+    sides = (np.linspace(-0.5, side - 0.5, 33, dtype=np.float64) for side in size)
+    ideal = undistort_points(camera, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
+    ends = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
+    # The corners of a strong lens lie far out, and all else would be small beside them.
+    (left, top), (right, bottom) = np.clip(ends, -0.5 * size, 1.5 * size).tolist()
+    cell = max(1.0, (right - left) / _MOST_COLUMNS)
     columns, rows = (
         max(1, int(np.ceil(side / cell - 1e-9))) for side in (right - left, bottom - top)
     )
-    return Grid(float(left), float(top), cell, columns, rows)
+    return Grid(left, top, cell, columns, rows)
 
 
 def as_recorded(clean: Clean) -> Clean:
-    """Give a camera with all events of its file, noise too; as it is where there is none."""
+    """Give a camera with all of its events, noise too; as it is where there is none."""
     if clean.n_recorded == len(clean.events):  # a track's too, which has none
         return clean
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they were said when it was read for the estimate
-            events = load_events(Path(clean.name), Reading(True, True)).events
-    except (SsacError, OSError):
-        return clean
-    is_it = len(events) == clean.n_recorded
-    return replace(clean, events=events, track=None) if is_it else clean
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they were said when it was read for the estimate
+        events = clean.all_events()
+    return clean if events is None else replace(clean, events=events, track=None)
 
 
 def streams(
@@ -162,9 +143,8 @@ def _stretch(seen: Seen) -> tuple[float, float]:
 
 
 def _reach_s(t_d_s: float) -> float:
-    if not np.isfinite(t_d_s):
-        return _REACH_S
-    return float(np.clip(1.25 * abs(t_d_s), _LEAST_REACH_S, _MOST_REACH_S))
+    is_known = np.isfinite(t_d_s)
+    return float(np.clip(1.25 * abs(t_d_s), *_REACHES_S)) if is_known else _REACH_S
 
 
 def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
@@ -205,15 +185,15 @@ def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
     }
 
 
-def density_png(seen: Seen, grid: Grid) -> str:
-    """Draw where a camera had events, the more the darker, as a PNG in base64."""
+def densities(seen: Seen, grid: Grid) -> NDArray[np.uint8]:
+    """Draw where a camera had events, the more the darker: (rows, columns, 4), mostly clear."""
     _, points_px, _ = seen.points(seen.span_s, 3 * _MOST_EVENTS)
     cells, inside = grid.cells(points_px)
     counts = np.bincount(cells[inside], minlength=grid.rows * grid.columns)
     shades = np.log1p(counts) / np.log1p(max(1.0, float(np.percentile(counts, 99.9))))
     image = np.full((grid.rows, grid.columns, 4), 128, np.uint8)
-    image[..., 3] = (32 * shades.clip(0.0, 1.0)).astype(np.uint8).reshape(grid.rows, -1) * 5
-    return base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode("ascii")
+    image[..., 3] = 20 * (8.0 * shades.clip(0.0, 1.0)).astype(np.uint8).reshape(grid.rows, -1)
+    return image
 
 
 def packed(values: NDArray[Any], dtype: DTypeLike) -> str:

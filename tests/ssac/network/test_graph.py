@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.network.adjustment import border_offsets, known
-from ssac.network.graph import PairConstraint, constraint_of, shared_by
+from ssac.network.graph import Link, factor_of, shared_by
 from ssac.network.state import CameraState
 from tests.ssac.network.flights import make_flight
 
@@ -25,16 +25,14 @@ def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
     skew_ppm = flight.skews_ppm[b] - flight.skews_ppm[a]
     at_s = 8.0 + flight.delays_s[a]  # in the middle of the flight, on a's clock
     clock = Clock(flight.delays_s[b] - flight.delays_s[a] + off_s, skew_ppm, at_s)
-    return PairConstraint(clock, R, link.t, np.diag(DEVIATIONS))
+    return Link(clock, True, link.cost, R, link.t, np.diag(DEVIATIONS))
 
 
 @pytest.fixture(scope="module")
 def sure():
     """A flight, and the answer where all pairs tell what one without errors would."""
     flight = make_flight(3)
-    links = flight.links().items()
-    told = {pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links}
-    return flight, flight.solved(told)
+    return flight, flight.solved({pair: true_pair(flight, *pair) for pair in flight.links()})
 
 
 def test_derivatives_are_those_of_differences() -> None:
@@ -78,7 +76,7 @@ def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share(sure) 
 def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
     flight = make_flight(3)
     links, without = flight.links(), flight.solved()
-    links[1, 2] = replace(links[1, 2], constraint=true_pair(flight, 1, 2, turn_rad=0.2))
+    links[1, 2] = true_pair(flight, 1, 2, turn_rad=0.2)
     found = flight.solved(links)
     assert not found.built[0].network.constraints
     for mine, other in zip(found.cameras, without.cameras, strict=True):
@@ -90,12 +88,9 @@ def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
         "tangency", t_d_s=1.0, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]), t_ref_s=2.0,
         skew_ppm=3.0, skew_std_ppm=4.0, covariance=np.diag(DEVIATIONS[:6] ** 2),
     )  # fmt: skip
-    pair = constraint_of(whole)
-    assert pair is not None
-    assert np.diag(pair.factor)[:6] == pytest.approx(DEVIATIONS[:6])
-    assert pair.factor[6, 6] == pytest.approx(4e-6)
+    assert np.diag(factor_of(whole)) == pytest.approx([*DEVIATIONS[:6], 4e-6])
     for missing in ({"covariance": None}, {"skew_std_ppm": 0.0}, {"status": "poor_fit"}):
-        assert constraint_of(replace(whole, **missing)) is None
+        assert factor_of(replace(whole, **missing)) is None
 
 
 def test_pairs_that_share_views_tell_less_than_pairs_that_share_none():

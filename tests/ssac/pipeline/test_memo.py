@@ -10,7 +10,7 @@ import pytest
 import ssac
 from ssac import Chain, Config, Observation, SsacError
 from ssac.camera import Camera, Rig
-from ssac.pipeline.registry import OURS
+from ssac.pipeline.registry import METHODS, OURS
 from ssac.track.clean import clean
 from tests.ssac.cluttered import noisy_flight
 from tests.ssac.synthetic import CAMERA, HEIGHT, K, make_scene
@@ -100,13 +100,19 @@ def test_each_stage_runs_once_for_all_ten_methods(raw, calls):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_method_gives_the_same_for_what_is_clean_and_for_a_delayed_camera(name, raw, chain):
+def test_a_method_changes_no_input_and_gives_the_same_for_what_is_clean_or_delayed(
+    name, raw, chain
+):
+    before = [seen.events.copy() for seen in raw]
+    assert chain.lacks(METHODS[name]) == ""
     expected = chain.estimate(name)
     assert (expected.status, expected.method) == ("ok", name)
     cleaned = [clean(seen, CAMERA, Config().cleaning) for seen in raw]
     assert_equal(getattr(ssac, name.replace("-", "_"))(*cleaned, RIG), expected)
     late = Chain([raw[0], raw[1].delayed(0.3)], RIG)  # of which nothing is there to be misused
     assert_equal(chain.delayed(0.3).estimate(name), late.estimate(name))
+    for seen, kept in zip(raw, before, strict=True):
+        np.testing.assert_array_equal(seen.events, kept)
 
 
 def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):

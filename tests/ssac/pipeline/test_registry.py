@@ -37,22 +37,6 @@ def chain_of(data, config=None) -> Chain:
     return Chain((cam1, cam2), rig, config)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_method_keeps_the_contract(name, data):
-    cam1, cam2, _ = data
-    method, config = METHODS[name], Config(denoise=False)
-    assert method.summary
-    assert method.version == ""
-    before = cam1.events.copy(), cam2.events.copy()
-    chain = chain_of(data, config)
-    assert chain.lacks(method) == ""
-    estimate = chain.estimate(name)
-    assert np.array_equal(before[0], cam1.events)
-    assert np.array_equal(before[1], cam2.events)
-    assert estimate.status == "ok"
-    assert config.offsets_s[0] <= estimate.t_d_s <= config.offsets_s[1]
-
-
 def test_what_a_method_lacks_is_said(data):
     cam1, cam2, rig = data
     unposed, blind = Rig(rig.cam1, rig.cam2), Observation(cam2.events)
