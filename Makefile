@@ -79,9 +79,6 @@ browser: .venv/.ready ## Playwright, Chromium and axe, with which `make test` lo
 	@mkdir -p out && npm install --silent --no-fund --no-audit --prefix out $(AXE) >/dev/null 2>&1 \
 		|| echo 'make browser: $(AXE) cannot be installed' >&2
 
-# A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
-PEER := eventify-dvs==0.2.0
-
 audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audit (needs a network)
 	@.venv/bin/python -m venv --clear out/audit
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
@@ -90,8 +87,6 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 torture: ## 20,000 damaged inputs (an hour) -> results/reliability.csv
 
 bench: .venv/.kernels ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
-	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
-		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench
 
 scene: ## statistics of the default scene, beside the authors' sample (2 minutes)

@@ -72,7 +72,7 @@ class StepCell(PlainCell):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns that say which step it is."""
+        """Sensor, duration and step."""
         return {"sensor": self.point.sensor, "duration_s": self.point.duration_s, "step": self.step}
 
 
