@@ -21,7 +21,7 @@ help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 # Commands of `ssac` with their own names; what each makes stands below.
-demo tables figures numbers report verify torture scene outdoor network physical: .venv/.kernels
+demo tables figures numbers report verify torture bench scene outdoor network physical: .venv/.kernels
 	@.venv/bin/ssac $@
 
 setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the others run this first)
@@ -86,8 +86,7 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 
 torture: ## 20,000 damaged inputs (an hour) -> results/reliability.csv
 
-bench: .venv/.kernels ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
-	@.venv/bin/ssac bench
+bench: ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 
 scene: ## statistics of the default scene, beside the authors' sample (2 minutes)
 

@@ -222,7 +222,6 @@ GROWTH = Study(
         ("sensor", "duration_s", "step"),
         ("sensor", "duration_s", "step", "events_per_camera", *_TOOK, "status", "t_d_error_ms"),
         numbered=False,
-        took=_TOOK,
         table=growth_table,
     ),
     (made_of("bench_growth.png", growth_figure, "bench_growth"),),
@@ -234,8 +233,7 @@ BENCH = Study(
     "Speed and memory, as ratios side by side",
     part_cells,
     PART,
-    Runs("bench.csv", ("name",), numbered=False, took=("value", "verdict"),
-         table=bench_table),
+    Runs("bench.csv", ("name",), numbered=False, table=bench_table),
     numbers={
         "table.bench": page_table,
         "minutes.tables.cached": partial(minutes, what="recordings cached", decimals=1),
