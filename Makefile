@@ -21,7 +21,7 @@ help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 # Commands of `ssac` with their own names; what each makes stands below.
-demo tables figures numbers report verify scene outdoor network physical: .venv/.kernels
+demo tables figures numbers report verify bench scene outdoor network physical: .venv/.kernels
 	@.venv/bin/ssac $@
 
 setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the others run this first)
@@ -79,9 +79,6 @@ browser: .venv/.ready ## Playwright, Chromium and axe, with which `make test` lo
 	@mkdir -p out && npm install --silent --no-fund --no-audit --prefix out $(AXE) >/dev/null 2>&1 \
 		|| echo 'make browser: $(AXE) cannot be installed' >&2
 
-# A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
-PEER := eventify-dvs==0.2.0
-
 audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audit (needs a network)
 	@.venv/bin/python -m venv --clear out/audit
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
@@ -90,10 +87,7 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 fuzz: .venv/.kernels ## thousands of damaged files of all kinds (a quarter of an hour)
 	@$(RUN) pytest --quiet tests/test_damaged_inputs.py --hypothesis-profile fuzz
 
-bench: .venv/.kernels ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
-	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
-		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
-	@.venv/bin/ssac bench
+bench: ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 
 scene: ## statistics of the default scene, beside the authors' sample (2 minutes)
 

@@ -29,17 +29,15 @@ ROUNDING = 1e-6
 """How far a number may be off beside its last digit, in its unit (ms, deg, px, ppm, or none).
 
 The largest difference on sixteen recordings with other kernels, thread counts and packages
-(docs/testing.md) was 6e-8 ms, of albl's t_d, which is where a parabola finds the least of an
-eigenvalue that rounding has roughened. All other numbers differed by 1.2e-10 at most. It counts
-where numbers are small, as t_d_error_ms is, the difference of two that are nearly equal.
+(docs/testing.md) was 6e-8 ms, of albl's t_d; all others were 1.2e-10 at most. It counts where
+numbers are small, as t_d_error_ms is, the difference of two that are nearly equal.
 """
 
 BY_BODY = 0.05
 """How far a method may be off that follows a body, too, in its units and as a share.
 
-It sees the body by many comparisons, which rounding decides. With OpenBLAS's and NumPy's kernels of
-other processors 4 of 17 recordings of the tables differ by more than `ROUNDING`: t_d by up to 1e-3
-ms, a hundredth of its deviation, R by 2e-3 deg, and a count by one.
+It sees the body by many comparisons, which rounding decides. With kernels of other processors 4 of
+17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, and a count by one.
 """
 
 _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")

@@ -10,8 +10,7 @@ Everything is addressed by its content: by all parameters and by all code that m
     runs/<ab>/<key>.json  one measured row, and its checksum
     damaged/              entries that were not what had been written
 
-What methods read of a recording stands in brightness and denoised: as long as these are there, it
-is not read. A disk that was full, a machine that was killed or a flipped bit leave entries that can
+A disk that was full, a machine that was killed or a flipped bit leave entries that can
 be read and are wrong, so each is held against its checksum before it is used.
 
 What is being made is locked by a file that its holder touches now and then. A lock is free when its
@@ -23,7 +22,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -34,6 +33,7 @@ from filelock import SoftFileLease, Timeout
 from numpy.typing import NDArray
 
 from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
+from experiments.lab.files import sha256
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
@@ -74,22 +74,19 @@ class Cache:
     simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
     sound: set[Path] = field(default_factory=set, compare=False)  # recordings it has looked at
 
-    def recording_folder(
-        self, config: SimConfig, seed: int, names: Collection[str] | None = None
-    ) -> Path:
+    def recording_folder(self, config: SimConfig, seed: int) -> Path:
         """Give the folder of a recording, simulating it first if it is not there yet.
 
-        Its clocks are equal, whatever the config's `t_d_s`. Only the files of these names, all when
-        None, are held against their checksums. SimError when it cannot be simulated, WriteError
-        when it cannot be written, or there is no room for it.
+        Its clocks are equal, whatever the config's `t_d_s`. SimError when it cannot be simulated,
+        WriteError when it cannot be written, or there is no room for it.
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
-        while not self._is_kept(folder, names):
+        while not self._is_kept(folder):
             with claimed(folder.with_name(f".{folder.name}{CLAIM}")) as is_ours:
                 if not is_ours:  # another process makes it
                     time.sleep(ASK_AGAIN_S)
-                elif not self._is_kept(folder, names):
+                elif not self._is_kept(folder):
                     self._simulate(config, seed, folder)
         return folder
 
@@ -145,30 +142,27 @@ class Cache:
         """Name the lock of all runs on some recordings, as `task.recordings_key` names these."""
         return self.folder / "runs" / f".{recordings}{CLAIM}"
 
-    @contextmanager
-    def tidied(self) -> Iterator[None]:
-        """Remove what killed processes left half-made, before the block and after it."""
-        self._tidy()
-        try:
-            yield
-        finally:
-            self._tidy()
+    def tidy(self) -> None:
+        """Remove what killed processes left half-made."""
+        runs = self.folder / "runs"
+        for folder in (*(self.folder / name for name in RECORDED), runs, *runs.glob("*")):
+            remove_left_over(folder)
+            remove_lapsed(folder)
 
     def size_bytes(self) -> int:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
-    def _is_kept(self, folder: Path, names: Collection[str] | None) -> bool:
+    def _is_kept(self, folder: Path) -> bool:
         """Whether a recording is there and whole; a damaged one is moved aside."""
         if folder in self.sound and folder.exists():
             return True
         if not (folder.exists() and _sums_path(folder).exists()):
             return False
-        if not is_sound(folder, names):
+        if not is_sound(folder):
             self._set_aside(folder)
             return False
-        if names is None:
-            self.sound.add(folder)
+        self.sound.add(folder)
         return True
 
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
@@ -203,13 +197,6 @@ class Cache:
             if one == path:
                 say(f"{path} was damaged: moved to {aside}, and made again")
 
-    def _tidy(self) -> None:
-        runs = self.folder / "runs"
-        others = (self.folder / name for name in RECORDED)
-        for folder in (*others, runs, *runs.glob("*")):
-            remove_left_over(folder)
-            remove_lapsed(folder)
-
     def _recording_path(self, config: SimConfig, seed: int) -> Path:
         return self.folder / "recordings" / recording_key(config, seed)
 
@@ -241,7 +228,7 @@ def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> 
 def content(value: Any) -> Any:
     """Turn a configuration into what JSON holds, with the digest of each file in its place."""
     if isinstance(value, Path):
-        return hashlib.sha256(value.read_bytes()).hexdigest() if value.exists() else str(value)
+        return sha256(value) if value.exists() else str(value)
     if is_dataclass(value) and not isinstance(value, type):
         return {one.name: content(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, (list, tuple)):
@@ -250,8 +237,11 @@ def content(value: Any) -> Any:
 
 
 def _digest(*parts: Any) -> str:
-    text = json.dumps(parts, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+    return _sha256(json.dumps(parts, sort_keys=True))[:24]
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def recording_bytes(config: SimConfig) -> int:
@@ -271,19 +261,18 @@ def save_sums(folder: Path) -> None:
         temporary.write_text(json.dumps(_sums(folder)), encoding="utf-8")
 
 
-def is_sound(folder: Path, names: Collection[str] | None = None) -> bool:
-    """Whether a folder's files, or those of some names, are those that were written."""
+def is_sound(folder: Path) -> bool:
+    """Whether a folder's files are those that were written."""
     try:
         noted = json.loads(_sums_path(folder).read_text(encoding="utf-8"))
-        noted = {name: sum_ for name, sum_ in noted.items() if names is None or name in names}
-    except (ValueError, AttributeError):
+    except ValueError:
         return False
-    return noted == _sums(folder, names)
+    return bool(noted == _sums(folder))
 
 
 def text_of_row(row: dict[str, Any]) -> str:
     """Give the text of an entry that holds one measured row."""
-    return json.dumps({"row": row, "sha256": _sha256(json.dumps(row).encode())})
+    return json.dumps({"row": row, "sha256": _sha256(json.dumps(row))})
 
 
 def row_of_text(text: bytes) -> dict[str, Any] | None:
@@ -291,7 +280,7 @@ def row_of_text(text: bytes) -> dict[str, Any] | None:
     try:
         entry = json.loads(text.decode("utf-8"))
         row: dict[str, Any] = entry["row"]
-        return row if entry["sha256"] == _sha256(json.dumps(row).encode()) else None
+        return row if entry["sha256"] == _sha256(json.dumps(row)) else None
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
@@ -300,16 +289,8 @@ def _sums_path(folder: Path) -> Path:
     return folder.with_name(f"{folder.name}.sha256")
 
 
-def _sums(folder: Path, names: Collection[str] | None = None) -> dict[str, str]:
-    return {
-        path.name: _sha256(path.read_bytes())
-        for path in folder.iterdir()
-        if path.is_file() and (names is None or path.name in names)
-    }
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _sums(folder: Path) -> dict[str, str]:
+    return {path.name: sha256(path) for path in folder.iterdir() if path.is_file()}
 
 
 # --- Locks that one process at a time can hold, whatever host it runs on ---

@@ -261,15 +261,13 @@ def code_of(*things: Any) -> tuple[str, ...]:
     return tuple(sorted(names))
 
 
+_TREE = SourceTree()
+
+
 @cache
 def code_digest(*starts: str) -> str:
     """Digest of code of ours, as it is on disk, and of all it depends on."""
-    return _tree().digest(*starts)
-
-
-@cache
-def _tree() -> SourceTree:
-    return SourceTree()
+    return _TREE.digest(*starts)
 
 
 @cache

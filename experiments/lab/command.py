@@ -69,14 +69,17 @@ ShardOption = Annotated[
     ),
 ]
 
-ALL_OPTIONS: Mapping[str, tuple[Any, Any]] = {
-    "out": (OutOption, Path("results")),
-    "shard": (ShardOption, "1/1"),
-    "workers": (WorkersOption, -1),
-    "scheduler": (SchedulerOption, ""),
-    "cache": (CacheOption, DEFAULT_FOLDER),
+ALL_OPTIONS: Mapping[str, Parameter] = {
+    name: Parameter(name, _KEYWORD, annotation=annotation, default=default)
+    for name, annotation, default in (
+        ("out", OutOption, Path("results")),
+        ("shard", ShardOption, "1/1"),
+        ("workers", WorkersOption, -1),
+        ("scheduler", SchedulerOption, ""),
+        ("cache", CacheOption, DEFAULT_FOLDER),
+    )
 }
-"""Of every command that runs studies: annotation and default by name."""
+"""Of every command that runs studies."""
 
 
 Chosen = tuple[Sequence[Study], Options]
@@ -111,13 +114,11 @@ def running(
     choose: Callable[..., Chosen], shared: Sequence[str] = tuple(ALL_OPTIONS)
 ) -> Callable[..., None]:
     """Make the command that runs what its own parameters choose."""
-    own = {name: one.replace(kind=_KEYWORD) for name, one in signature(choose).parameters.items()}
-    options = {name: ALL_OPTIONS[name] for name in shared}
-    parameters = [*own.values(), *(Parameter(name, _KEYWORD, annotation=annotation, default=default)
-                                   for name, (annotation, default) in options.items())]  # fmt: skip
+    own = [one.replace(kind=_KEYWORD) for one in signature(choose).parameters.values()]
+    parameters = own + [ALL_OPTIONS[name] for name in shared]
 
     def command(**given: Any) -> None:
-        studies, values = choose(**{name: given.pop(name) for name in own})
+        studies, values = choose(**{one.name: given.pop(one.name) for one in own})
         workers = Workers(given.get("workers", 1), given.get("scheduler", ""))
         cache, shard = Cache(given["cache"]), given.get("shard", "1/1")
         run_studies(studies, given["out"], cache, workers, shard, values)

@@ -1,23 +1,8 @@
 """Grids of parameters, as a TOML file lists them: each run of a table, an ablation or a sweep.
 
-    title = "..."                        # of the figure and the report
-    flights = 10                         # at each point of the grid: numbers 0, 1, ...
-    methods = ["ssac", "joint"]          # left out: every registered method
-    search_around_truth_s = [-1.0, 1.0]  # interval of the search, relative to the true offset
-
-    [fixed]                              # parameters that all cells share
-    sim.spline.duration_s = 10.0
-
-    [grid]                               # parameters that vary: all combinations are run
-    sim.angle_deg = [30, 90, 150]
-    ssac.n_min = [100, 200, 400]
-
-    [together.threshold]                 # one axis of the grid on which several parameters move
-    sim.sensor.threshold_on = [0.1, 0.2]
-    sim.sensor.threshold_off = [0.1, 0.2]
-
-Parameters are the fields of `sim.recording.SimConfig` and `ssac.config.Config`, by dotted names. A
-file is one that comes with the project ("backgrounds/leaves.png"), or else where its path leads.
+docs/sweeps.md has an example. Parameters are the fields of `sim.recording.SimConfig` and
+`ssac.config.Config`, by dotted names. A file is one that comes with the project
+("backgrounds/leaves.png"), or else where its path leads.
 """
 
 import hashlib
@@ -138,12 +123,9 @@ def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int
     """Give the seed of a flight: flights of another duration or angle are independent ones.
 
     A hash, since flights of one seed are not independent: a flight of 10 s is the first half of
-    the flight of 20 s with its seed, and views of one flight from two angles err alike. The seed
-    depends on nothing else, so that all offsets, methods and other parameters of a grid, and all
-    grids with this duration and angle, see the same flights: their differences are of the
-    parameter, not of the draw.
-
-    It has 32 bits, the same on every machine; another `base_seed` gives another set of flights.
+    the flight of 20 s with its seed, and views of one flight from two angles err alike. It depends
+    on nothing else, so that all offsets, methods and other parameters are compared on the same
+    flights. Another `base_seed` gives another set of them.
     """
     text = f"{base_seed} {float(duration_s)!r} {float(angle_deg)!r} {flight}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
@@ -180,11 +162,9 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
         if key not in _KEYS:
             raise SsacError(f"unknown key {key!r}: known are {', '.join(_KEYS)}")
     methods = content.get("methods", tuple(METHODS))
-    if not (methods and isinstance(methods, (list, tuple))):
+    if not isinstance(methods, (list, tuple)) or {type(one) for one in methods} != {str}:
         raise SsacError(f"methods must be a list of names, got {methods!r}")
     for method in methods:
-        if not isinstance(method, str):
-            raise SsacError(f"methods must be a list of names, got {method!r} in it")
         choose_method(method)
     flights, first_flight = content.get("flights", 10), content.get("first_flight", 0)
     if not (type(flights) is int and flights > 0):

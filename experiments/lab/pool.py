@@ -6,7 +6,6 @@ survive a fork. They import our code once, then serve one pool after the other u
 ends; and they end with it, even when it is killed.
 """
 
-import ctypes
 import logging
 import math
 import os
@@ -275,17 +274,3 @@ def n_cores() -> int:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
         count = min(count, -(-int(quota) // int(period)))
     return max(count, 1)
-
-
-def keep_freed_memory() -> None:
-    """Let arrays take the memory of those before them, where the C library is glibc.
-
-    By default each array of some megabytes is given back to the kernel when it goes, and the next
-    one's pages are zeroed anew as they are touched: a fifteenth of the time of cached tables. What
-    a process needs at most stays the same.
-    """
-    trim_threshold, mmap_threshold = -1, -3  # of glibc's mallopt, with the most bytes of each
-    with suppress(OSError, AttributeError):  # other C libraries do not have it
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(mmap_threshold, 1 << 25)  # the most allowed: a camera's events of 20 s are half
-        mallopt(trim_threshold, 1 << 30)

@@ -17,7 +17,7 @@ from ssac.clock import Clock
 from ssac.config import Cleaning
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
-from ssac.track.clean import Clean, Recorded, clean
+from ssac.track.clean import Clean, clean
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation
 
@@ -110,16 +110,14 @@ class Flown:
         return made
 
 
-def clean_pair(
-    folder: Path, load: Callable[[], Pair], how: Cleaning, cache: Cache
-) -> tuple[Clean, Clean]:
+def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]:
     """Both cameras of a recording without noise, which is told once: only then is it loaded."""
     rig = load_rig(folder / RIG_FILE)
     cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
 
     def denoised() -> Arrays:
         told: Arrays = {}
-        for seen, (name, camera) in zip(load()[:2], cameras.items(), strict=True):
+        for seen, (name, camera) in zip(load_pair(folder)[:2], cameras.items(), strict=True):
             one = clean(seen, camera, how, name)
             assert one.clutter is not None  # of a recording, which was not denoised before
             told[f"{name}_events"] = one.events
@@ -131,17 +129,13 @@ def clean_pair(
     names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
     told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, how.n_neighbours)
     first, second = (
-        _clean(told, name, camera, _events_of(load, k))
-        for k, (name, camera) in enumerate(cameras.items())
+        _clean(told, folder / f"{name}.h5", camera) for name, camera in cameras.items()
     )
     return first, second
 
 
-def _events_of(load: Callable[[], Pair], k: int) -> Recorded:
-    return lambda: load()[:2][k].events
-
-
-def _clean(told: Arrays, name: str, camera: Camera, recorded: Recorded) -> Clean:
+def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:
+    name = path.stem
     pixels, masked, hz, radius_px, n_neighbours, n_min = told[f"{name}_clutter"].tolist()
     on_line = told[f"{name}_on_line"]
     return Clean(
@@ -151,5 +145,5 @@ def _clean(told: Arrays, name: str, camera: Camera, recorded: Recorded) -> Clean
         denoised=True,
         clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
         on_line=on_line if len(on_line) else None,
-        recorded=recorded,
+        recorded=lambda: load_events_h5(path).events,
     )

@@ -41,11 +41,6 @@ class Results:
                 raise SsacError(f"{path} cannot be read: {error}") from error
         return self._texts[file]
 
-    def keep(self, file: str, text: str) -> None:
-        """Take a text in place of what the folder has under this name."""
-        self._texts[file] = text
-        self._tables.pop(file.removesuffix(".csv"), None)
-
     def table(self, name: str) -> pd.DataFrame:
         """Read `<name>.csv`; an empty cell is NaN."""
         if name not in self._tables:

@@ -95,10 +95,10 @@ def run_cells(
     n_simulated, peak_mb = 0, 0.0
     if left:
         check_folder(cache.folder)
+    cache.tidy()
     with (
         _resumable(found, keys, cache),
         progress(len(left), label, is_shown=show_progress) as advance,
-        cache.tidied(),
         _pool(workers or Workers(), len(left)) as pool,
     ):
         for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
@@ -120,7 +120,7 @@ def run_cells(
 
 @contextmanager
 def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
-    """Say how to go on when the block is interrupted or terminated."""
+    """Say how to go on when the block is interrupted or terminated, and leave nothing half-made."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit, WriteError):
@@ -129,6 +129,8 @@ def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
             " the same command goes on from there"
         )
         raise
+    finally:
+        cache.tidy()
 
 
 def _pool(workers: Workers, n_tasks: int) -> Pool:
@@ -248,7 +250,6 @@ def _one_core() -> Iterator[None]:
     before = dict(os.environ)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"
-    os.environ.pop("PYOPENGL_PLATFORM", None)
     try:
         yield
     finally:

@@ -30,9 +30,6 @@ from ssac.track.observation import Observation
 GUARDED = 10
 """One in as many offsets of flights is made in full as well, and must be the same."""
 
-ROUNDING = 1e-9
-"""Largest difference [s, and of entries of R and t] that rounding makes."""
-
 Frames = tuple[NDArray[np.generic] | None, Array | None]
 """Images (n, height, width) and their times (n,) [s], or neither."""
 
@@ -67,18 +64,12 @@ class Row(RunRow):
 def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load what the cells need of their recording, which is simulated if it is not there yet."""
     sim, seed, methods = cells[0].sim, cells[0].seed, [METHODS[cell.method] for cell in cells]
-    folder = cache.recording_folder(sim, seed, (RIG_FILE,))
-
-    def whole() -> Path:
-        return cache.recording_folder(sim, seed)
-
+    folder = cache.recording_folder(sim, seed)
     (how, *others) = {cell.estimator.cleaning for cell in cells}
     seen: Sequence[Observation]
-    if how.denoise and not others:
-        seen = clean_pair(folder, lambda: load_pair(whole()), how, cache)
-    else:
-        seen = load_pair(whole())[:2]
-    framed = zip(seen, frames_of(folder, methods, cache, whole), strict=True)
+    is_told = how.denoise and not others
+    seen = clean_pair(folder, how, cache) if is_told else load_pair(folder)[:2]
+    framed = zip(seen, frames_of(folder, methods, cache), strict=True)
     return Chain(
         [replace(one, frames=f, frame_times_s=t) for one, (f, t) in framed],
         load_rig(folder / RIG_FILE),
@@ -123,23 +114,16 @@ def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
     if shared.status != Status.OK:
         return whole()
     shared = shared.delayed(shift_s)
-    if is_guarded(cell):
+    text = f"{cell.seed} {float(cell.t_d_s)!r}"
+    if int(hashlib.sha256(text.encode()).hexdigest(), 16) % GUARDED == 0:
         _check_same(shared, whole())
     return shared
 
 
-def is_guarded(cell: Cell) -> bool:
-    """Whether the cell's flight and offset are among one in GUARDED that are made in full."""
-    text = f"{cell.seed} {float(cell.t_d_s)!r}"
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") % GUARDED == 0
-
-
 def _check_same(shared: Estimate, whole: Estimate) -> None:
-    apart = [
-        f"{name} by {difference:.2g}"
-        for name in ("status", "n_samples", "t_d_s", "t_d_std_s", "R", "t")
-        if not (difference := _apart(getattr(shared, name), getattr(whole, name))) <= ROUNDING
-    ]
+    compared = ((name, getattr(shared, name), getattr(whole, name))
+                for name in ("status", "n_samples", "t_d_s", "t_d_std_s", "R", "t"))  # fmt: skip
+    apart = [name for name, one, other in compared if not _is_alike(one, other)]
     if apart:
         raise ArithmeticError(
             f"{whole.method} must follow a delay of camera 2's clock, but run in full it differs in"
@@ -147,12 +131,11 @@ def _check_same(shared: Estimate, whole: Estimate) -> None:
         )
 
 
-def _apart(one: Any, other: Any) -> float:
-    """Largest difference of numbers; infinite where other things differ, or one is missing."""
+def _is_alike(one: Any, other: Any) -> bool:
+    """Whether two parts of estimates are the same, numbers but for rounding."""
     if one is None or other is None or isinstance(one, str):
-        return 0.0 if one is other or one == other else np.inf
-    same = np.isnan(one) & np.isnan(other)
-    return float(np.max(np.where(same, 0.0, np.abs(np.subtract(one, other)))))
+        return one is other or bool(one == other)
+    return np.allclose(one, other, rtol=0.0, atol=1e-9, equal_nan=True)
 
 
 def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
@@ -162,13 +145,8 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
     return Row(**kept(Row, scored(estimate, truth, has_pose)))
 
 
-def frames_of(
-    folder: Path, methods: Sequence[Method], cache: Cache, whole: Callable[[], Path] | None = None
-) -> tuple[Frames, Frames]:
-    """Frames of both cameras where a method looks at them; images of one pixel if that will do.
-
-    The folder of the recording is read only where `whole`, if given, has said that it is sound.
-    """
+def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
+    """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:
         return (None, None), (None, None)
@@ -177,7 +155,7 @@ def frames_of(
 
     def images(take: Callable[..., Any] | None = None) -> dict[str, NDArray[Any]]:
         none = np.empty(0, np.int64), np.empty(0)
-        paths = [(whole() if whole else folder) / f"{name}.h5" for name in ("cam1", "cam2")]
+        paths = [folder / f"{name}.h5" for name in ("cam1", "cam2")]
         loaded = [array for path in paths for array in load_frames(path, take) or none]
         return dict(zip(names, loaded, strict=True))
 

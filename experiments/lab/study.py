@@ -253,18 +253,16 @@ def save_made(
             continue
         with whole_file(path) as temporary:
             temporary.write_bytes(made_bytes)
-        if not made.file.endswith(".png"):
-            results.keep(made.file, made_bytes.decode())
         written.append(path)
         if _is_table(made.file):
             config = content["config"] if made.config is None else dict(made.config)
             write_provenance(path, {**content, "config": config})
-    if study.is_committed and study.runs is None:
-        beside = out / f"{study.name}{PROVENANCE}"
-        write_provenance(beside.with_name(f"{study.name}.csv"), content)
-        record_checksums(out, [*written, beside])
-    elif study.is_committed:
-        record_checksums(out, written)
+    noted = list(written)
+    if study.runs is None:  # drawings alone
+        noted.append(out / f"{study.name}{PROVENANCE}")
+        write_provenance(out / f"{study.name}.csv", content)
+    if study.is_committed:
+        record_checksums(out, noted)
     return written
 
 

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from experiments.lab.cache import Cache, recording_key, run_key
 from experiments.lab.cell import CRASHED, UNUSABLE, Flight, Measure, Rows
 from experiments.lab.code import code_of
-from experiments.lab.pool import keep_freed_memory
 from ssac.errors import SsacError, WriteError
 
 
@@ -73,7 +72,6 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
     Nothing that a cell does raises; WriteError if the cache cannot be written to.
     """
-    keep_freed_memory()
     with threadpool_limits(1):  # one worker a core, and sums in the same order everywhere
         n_before = len(cache.simulated)
         rows = _rows(task, cache, measure)

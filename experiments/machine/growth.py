@@ -9,7 +9,6 @@ process of its own on one core, after a smaller one that loads the kernels.
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure, PlainCell, RunRow
+from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 from experiments.machine.parts import peak_memory_mb
 from sim.recording import SimConfig
 from sim.storage import record
@@ -72,7 +71,7 @@ class StepCell(PlainCell):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns that say which step it is."""
+        """Sensor, duration and step."""
         return {"sensor": self.point.sensor, "duration_s": self.point.duration_s, "step": self.step}
 
 
@@ -87,15 +86,13 @@ class StepRow(RunRow):
     t_d_error_ms: float = np.nan
 
 
-def load_folder(cells: Sequence[StepCell], cache: Cache) -> Path:
-    """Give the folder that all steps share."""
-    return cache.folder
+def step_row(cell: StepCell, cache: Cache) -> StepRow:
+    """Take a step in this process, after a smaller one that loads the kernels.
 
-
-def step_row(cell: StepCell, folder: Path) -> StepRow:
-    """Take a step in this process, after a smaller one that loads the kernels."""
-    smallest = folder / "smallest"
-    pair = smallest if cell.point == POINTS[0] else folder / "pair"
+    All steps share the folder of the cache.
+    """
+    smallest = cache.folder / "smallest"
+    pair = smallest if cell.point == POINTS[0] else cache.folder / "pair"
     if cell.step == SIMULATE:
         with tempfile.TemporaryDirectory() as other:
             record(replace(POINTS[0], duration_s=1.0).config, 0, Path(other) / "short", {})
@@ -115,7 +112,7 @@ def step_row(cell: StepCell, folder: Path) -> StepRow:
     return StepRow(status, "", n_events, wall_s, cpu_s, peak_memory_mb(), error_ms)
 
 
-STEP = Measure(load_folder, step_row, StepRow)
+STEP = Measure(load_nothing, step_row, StepRow)
 
 
 def _sync(folder: Path) -> Result:

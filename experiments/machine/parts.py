@@ -1,32 +1,47 @@
-"""Parts of the benchmark, each measured in a process of its own on one core, and how.
-
-So none sees another's memory, and both GL backends can be compared. Each part is a function of a
-module that is loaded where it is measured: `ssac simulate` is measured in a process that loads
-what that command does, and no more.
-"""
+"""Parts of the benchmark, each measured in a process of its own: none sees another's memory."""
 
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from importlib import import_module
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+from experiments.lab.cache import RECORDED, Cache
 from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
+from experiments.lab.grid import Cell, GridConfig, named_config
+from experiments.lab.schedule import Outcome, Workers, run_cells
+from experiments.paper.esim import TABLES, n_recordings
+from experiments.scenes.simulate import record_with_progress
+from sim.recording import SimConfig
+from sim.render.config import RenderConfig
+from sim.render.renderer import Renderer
+from sim.scene.background import uniform_background
+from sim.scene.flyers import quadrotor
+from sim.scene.rig import two_view_rig
+from sim.scene.trajectory import SplineConfig, random_spline
+from sim.storage import record
+from ssac.arrays import Array
+from ssac.camera import Cameras
+from ssac.pipeline.chain import MEANS, Chain, Source
+from ssac.pipeline.opened import opened, opened_rig
+from ssac.pipeline.registry import OURS, Input, Method
+
+REPEATS = 5  # the best of as many is taken
+N_POSES = 4000
+
+SYNC_MARKS_S = {"joint": 0.2, "tangency": 0.35}
+"""Of all but reading, for 1.1 million events a camera."""
+
+ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers end together
+TABLES_MARKS_S = {"from nothing": 2.0, "recordings cached": 0.2}
+"""Of a recording, by two workers: 300 of them in 10 minutes, and in one."""
 
 Result = TypeVar("Result")
-
-PARTS: Mapping[str, tuple[str, str, tuple[Any, ...]]] = {
-    **{f"render-{by}": ("simulating", "bench_render", (by,)) for by in ("native", "osmesa", "egl")},
-    "sensor": ("simulating", "bench_sensor", ()),
-    "recording": ("parts", "bench_recording", ()),
-    "sync": ("synchronising", "bench_sync", ()),
-    "reading": ("synchronising", "bench_reading", ()),
-    "tables": ("tables", "bench_tables", ()),  # which has two workers
-}
-"""Module, function and arguments by name."""
 
 
 @dataclass(frozen=True)
@@ -36,38 +51,16 @@ class Measurement:
     name: str
     value: float
     unit: str
-    mark: float | None = None  # of the value; None: for information
+    mark: float = np.nan  # of the value; NaN: for information
     higher_is_better: bool = False
 
     @property
     def verdict(self) -> str:
         """Return "meets", "misses", or nothing where there is no mark."""
-        if self.mark is None:
+        if np.isnan(self.mark):
             return ""
         met = self.value >= self.mark if self.higher_is_better else self.value <= self.mark
         return "meets" if met else "misses"
-
-
-def best_seconds(work: Callable[[], Result], repeats: int) -> tuple[float, Result]:
-    """Least processor time [s] of a few runs after a warm-up, and the result."""
-    result = work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time()
-        result = work()
-        seconds.append(time.process_time() - start)
-    return min(seconds), result
-
-
-def best_rate(work: Callable[[], int], repeats: int) -> float:
-    """Return how much work is done per second of processor time, at best, after a warm-up."""
-    seconds, done = best_seconds(work, repeats)
-    return done / seconds
-
-
-def peak_memory_mb() -> float:
-    """Return the most memory that this process has had."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 @dataclass(frozen=True)
@@ -86,30 +79,138 @@ class PartRow(RunRow):
 
 def part_row(cell: PartCell, _: object) -> PartRow:
     """Measure a part."""
-    module, function, arguments = PARTS[cell.part]
-    measure = getattr(import_module(f"experiments.machine.{module}"), function)
-    return PartRow("ok", "", [asdict(one) for one in measure(*arguments)])
+    return PartRow("ok", "", [asdict(one) for one in PARTS[cell.part]()])
 
 
 PART = Measure(load_nothing, part_row, PartRow)
 
 
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def best_seconds(work: Callable[[], Result], repeats: int = REPEATS) -> tuple[float, Result]:
+    """Least processor time [s] of a few runs after a warm-up, and the result."""
+    result = work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.process_time()
+        result = work()
+        seconds.append(time.process_time() - start)
+    return min(seconds), result
+
+
+def bench_rendering() -> list[Measurement]:
+    """Poses per second of crops of one flight, by the native renderer and by pyrender's OpenGL."""
+    camera, drone = two_view_rig(90.0).cameras[0], quadrotor()
+    # As dense as adaptive sampling is, for neighbours to share their tile size as they do there.
+    times_s: Array = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
+    T_W_B = random_spline(SplineConfig(), np.random.default_rng(0)).poses(times_s)
+    background = uniform_background(camera, 0.4)
+
+    def poses_per_s(config: RenderConfig) -> float:
+        with Renderer(drone, config) as renderer:
+            crops = partial(renderer.crops, camera, times_s, T_W_B, background)
+            seconds, n_poses = best_seconds(lambda: sum(len(batch.times_s) for batch in crops()))
+        return n_poses / seconds
+
+    native = RenderConfig(check=False)
+    ours, theirs = poses_per_s(native), poses_per_s(RenderConfig(renderer="pyrender"))
+    label = f"render, native, {native.lattice.samples_per_pixel} samples per pixel"
+    return [
+        Measurement(f"{label}: crops", ours, "poses/s"),
+        Measurement(f"{label}: ratio to OpenGL's crops", ours / theirs, "x", 5.0, True),
+    ]
+
+
 def bench_recording() -> list[Measurement]:
     """Wall time and peak memory of the default 20 s pair, frames and writing it included."""
-    from experiments.scenes.simulate import record_with_progress
-    from sim.recording import SimConfig
-    from sim.scene.trajectory import SplineConfig
-
     short = SimConfig(spline=SplineConfig(duration_s=1.0))
     with tempfile.TemporaryDirectory() as folder:
         record_with_progress(short, 0, Path(folder) / "short")  # loads the kernels
         start = time.perf_counter()
-        recorded = record_with_progress(SimConfig(), 0, Path(folder) / "pair")
+        record_with_progress(SimConfig(), 0, Path(folder) / "pair")
         seconds = time.perf_counter() - start
-    instants, events = recorded.flight.n_instants, sum(recorded.n_events)
     return [
         Measurement("simulate a 20 s pair, frames included", seconds, "s", 3.0),
-        Measurement("simulate a 20 s pair: instants", instants, "instants"),
-        Measurement("simulate a 20 s pair: events", events, "events"),
         Measurement("simulate a 20 s pair: peak memory", peak_memory_mb(), "MB", 450.0),
     ]
+
+
+def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
+    """Processor time of each method on one pair, by default of 20 s, that has been read."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "pair"
+        record(config or SimConfig(t_d_s=0.05), 0, folder, {})
+        rig = opened_rig(folder / "rig_extrinsics.yaml", 2)
+        files = opened((folder / "cam1.h5", folder / "cam2.h5"), rig)
+        return [_timed(method, files, rig) for method in OURS]
+
+
+def _timed(method: Method, files: Sequence[Source], rig: Cameras) -> Measurement:
+    seen = [file.read(MEANS if method.input is Input.FRAMES else "") for file in files]
+    seconds, _ = best_seconds(lambda: Chain(seen, rig).estimate(method))
+    name = f"sync, {method.name}: all but reading"
+    return Measurement(name, seconds, "s", SYNC_MARKS_S.get(method.name, np.nan))
+
+
+def bench_tables() -> list[Measurement]:
+    """Wall time of 8 recordings with all methods and offsets, by one worker and by two.
+
+    That of all recordings is theirs in proportion; it is not measured here. Start-up, some seconds
+    once per run, is not in it: each worker has done a small flight before.
+    """
+    cells = measured_cells()
+    n_measured = len({(cell.sim, cell.seed) for cell in cells})
+    # Small flights, one for each worker, that load the code and its kernels.
+    small = replace(named_config(TABLES[0]), fixed={"sim.spline.duration_s": 2.0})
+    seconds: dict[tuple[str, int], float] = {}
+    peak_mb = 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        for count in (1, 2):
+            cache = Cache(Path(folder) / f"by_{count}")
+            warm_up = _cells(replace(small, flights=count))
+            _run(warm_up, Cache(Path(folder) / f"warm_{count}"), count)
+            seconds["from nothing", count], outcome = _run(cells, cache, count)
+            peak_mb = max(peak_mb, outcome.peak_mb)
+            without_runs = Cache(Path(folder) / f"cached_{count}")
+            without_runs.folder.mkdir()
+            for name in RECORDED:
+                (cache.folder / name).rename(without_runs.folder / name)
+            seconds["recordings cached", count], _ = _run(cells, without_runs, count)
+    n_all, rows = n_recordings(), []
+    for what, mark_s in TABLES_MARKS_S.items():
+        one, two = seconds[what, 1] / n_measured, seconds[what, 2] / n_measured
+        mark_x = 1.8 if what == "from nothing" else np.nan
+        rows += [
+            Measurement(f"tables, {what}: 1 worker", one, "s per recording"),
+            Measurement(f"tables, {what}: 2 workers", two, "s per recording"),
+            Measurement(f"tables, {what}: all, 2 workers", two * n_all, "s", mark_s * n_all),
+            Measurement(f"tables, {what}: 1 -> 2 workers", one / two, "x", mark_x, True),
+        ]
+    return [*rows, Measurement("tables: peak memory of a worker", peak_mb, "MB", 1000.0)]
+
+
+def measured_cells() -> list[Cell]:
+    """List the cells of a few recordings of both tables: as many of 10 s as of 20 s."""
+    grids = [replace(named_config(name), flights=1) for name in TABLES]
+    return [cell for grid in grids for cell in _cells(grid)]
+
+
+def _cells(grid: GridConfig) -> list[Cell]:
+    return [cell for cell in grid.cells() if cell.sim.angle_deg in ANGLES_DEG]
+
+
+def _run(cells: Sequence[Cell], cache: Cache, count: int) -> tuple[float, Outcome]:
+    start = time.perf_counter()
+    outcome = run_cells(cells, cache, Workers(count), show_progress=False)
+    return time.perf_counter() - start, outcome
+
+
+PARTS: Mapping[str, Callable[[], list[Measurement]]] = {
+    "rendering": bench_rendering,
+    "recording": bench_recording,
+    "sync": bench_sync,
+    "tables": bench_tables,  # which has two workers
+}

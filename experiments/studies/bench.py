@@ -4,7 +4,6 @@ Each part and each step runs in a process of its own on one core (the tables: on
 summed up in the benchmark's last rows.
 """
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -19,31 +18,22 @@ from experiments.lab.command import command_of
 from experiments.lab.markdown import markdown_table
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
-from experiments.lab.summary import answered, made_of
+from experiments.lab.summary import answered, made_of, records
 from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
 from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
 
+_TOOK = ("wall_s", "cpu_s", "peak_mb")
+
 SHORT_EVENTS = 15e6  # a camera, about: larger points are left out of a short run
 
 MARK_EXPONENT = 1.1
-MARKS_BYTES = {SYNCHRONISE: 73.0}  # of an event: 13 in the array, 60 beyond it
 MARKS_S = {SIMULATE: 600.0, SYNCHRONISE: 60.0}  # of the largest point
 MARK_PEAK_MB = 6000.0  # of the same
 MIN_MARKED_EVENTS = 50e6  # that the largest point has, to be held against these
 
-_HELD = {SIMULATE: 1, SYNCHRONISE: 2}  # cameras whose events are in memory at a time
-
-
 Extent = Literal["full", "short"]
 """How far the growth is followed."""
-
-
-def points_of(extent: Extent) -> list[Point]:
-    """List the points of a run, the smallest first."""
-    limit = SHORT_EVENTS if extent == "short" else np.inf
-    return [one for one in POINTS if one.events_per_s * one.duration_s <= limit]
-
 
 COMMITTED: dict[str, Extent] = {"growth": "full"}
 """How far `results/` go; the rest takes as long again as the short run of `make bench`."""
@@ -51,6 +41,12 @@ COMMITTED: dict[str, Extent] = {"growth": "full"}
 Growth = Annotated[
     Extent, typer.Option(help="Largest pair: 50 million events per camera (full), or 10 (short).")
 ]
+
+
+def points_of(extent: Extent) -> list[Point]:
+    """List the points of a run, the smallest first."""
+    limit = SHORT_EVENTS if extent == "short" else np.inf
+    return [one for one in POINTS if one.events_per_s * one.duration_s <= limit]
 
 
 def growth_cells(growth: Growth = "short") -> list[StepCell]:
@@ -88,25 +84,30 @@ def _missing(name: str) -> Measurement:
 
 
 def growth_rows(table: pd.DataFrame) -> list[Measurement]:
-    """Sum up the steps: the largest point, and how time and memory grow up to it."""
+    """Sum up the steps: how time and memory grow, and the largest point beside its marks."""
     rows = [
         _missing(f"growth, {row.sensor}, {row.duration_s:g} s, {row.step}: {row.status}")
         for row in table[table["status"] != "ok"].itertuples()
     ]
     table = answered(table)
     for (sensor, step), of_step in table.groupby(["sensor", "step"], sort=False):
-        if len(of_step) < 2:
-            continue
-        events, name = of_step["events_per_camera"], f"growth, {sensor}: {step}"
-        value = exponent(events, of_step["cpu_s"])  # what others take meanwhile is not in it
-        rows.append(Measurement(f"{name}, time over events", value, "exponent", MARK_EXPONENT))
-        if sensor != table["sensor"].iloc[-1]:  # what start-up takes hides so few events
-            continue
-        value = exponent(events, of_step["peak_mb"])
-        rows.append(Measurement(f"{name}, memory over events", value, "exponent", MARK_EXPONENT))
-        value, mark = _bytes_of_event(of_step), MARKS_BYTES.get(str(step))
-        rows.append(Measurement(f"{name}, memory of an event", value, "B", mark))
-    return [*rows, *_largest(table)]
+        # What others take meanwhile is not in `cpu_s`; what start-up takes hides few events.
+        grows = {"time": "cpu_s"} | ({"memory": "peak_mb"} if sensor == POINTS[-1].sensor else {})
+        for what, column in grows.items() if len(of_step) > 1 else ():
+            value = exponent(of_step["events_per_camera"], of_step[column])
+            name = f"growth, {sensor}: {step}, {what} over events"
+            rows.append(Measurement(name, value, "exponent", MARK_EXPONENT))
+    most, name = table["events_per_camera"].max(), "growth, largest pair"
+    is_marked = most >= MIN_MARKED_EVENTS
+    for one in records(table[table["events_per_camera"] == most]):
+        mark_s, mark_mb = (MARKS_S[one["step"]], MARK_PEAK_MB) if is_marked else (np.nan, np.nan)
+        rows += [
+            Measurement(f"{name}: {one['step']}", one["wall_s"], "s", mark_s),
+            Measurement(f"{name}: {one['step']}, peak memory", one["peak_mb"], "MB", mark_mb),
+        ]
+    return (
+        [*rows, Measurement(f"{name}: events per camera", most, "events")] if len(table) else rows
+    )
 
 
 def exponent(events: ArrayLike, values: ArrayLike) -> float:
@@ -115,29 +116,6 @@ def exponent(events: ArrayLike, values: ArrayLike) -> float:
     What does not grow, as start-up does not, makes it smaller.
     """
     return float(np.polyfit(np.log(events), np.log(values), 1)[0])
-
-
-def _bytes_of_event(of_step: pd.DataFrame) -> float:
-    """Peak memory that an event more takes, from the smallest point to the largest [B]."""
-    ends = of_step.sort_values("events_per_camera").iloc[[0, -1]]
-    held = _HELD[str(of_step["step"].iloc[0])] * np.diff(ends["events_per_camera"])
-    return float(np.diff(ends["peak_mb"])[0] * 2**20 / held[0])
-
-
-def _largest(table: pd.DataFrame) -> Iterator[Measurement]:
-    """Hold the largest point against its marks, if it is as large as these are meant for."""
-    if table.empty:
-        return
-    most, name = table["events_per_camera"].max(), "growth, largest pair"
-    is_marked = most >= MIN_MARKED_EVENTS
-    yield Measurement(f"{name}: events per camera", float(most), "events")
-    for one in table[table["events_per_camera"] == most].to_dict("records"):
-        mark_s, mark_mb = (MARKS_S[one["step"]], MARK_PEAK_MB) if is_marked else (None, None)
-        yield Measurement(f"{name}: {one['step']}", one["wall_s"], "s", mark_s)
-        yield Measurement(f"{name}: {one['step']}, peak memory", one["peak_mb"], "MB", mark_mb)
-    error_ms = table["t_d_error_ms"].max()
-    if np.isfinite(error_ms):
-        yield Measurement("growth: largest error of t_d", float(error_ms), "ms")
 
 
 _WHAT = {"wall_s": "time [s]", "peak_mb": "peak memory [MB]"}
@@ -184,35 +162,23 @@ def _draw_guide(axes: Axes, measured: pd.DataFrame, column: str) -> None:
 
 
 def bench_faults(results: Results) -> list[str]:
-    """Check shape and ranges: what was measured cannot be made again."""
+    """Check what was measured, which cannot be made again, and what follows from it."""
     table = results.table("bench")
-    columns = [*Measurement.__dataclass_fields__, "verdict"]
-    if list(table) != columns:
-        return [f"its columns are {', '.join(map(str, table))}; expected {', '.join(columns)}"]
-    if table.empty:
-        return ["it is empty"]
     faults = []
-    for row in table.astype(object).replace({np.nan: None}).to_dict("records"):
-        verdict = row.pop("verdict") or ""
-        one = Measurement(**{str(name): value for name, value in row.items()})
-        if not 0.0 < (one.value or np.nan) < np.inf:
-            faults.append(f"{one.name} is {one.value}")
-        if not one.unit:
-            faults.append(f"{one.name} has no unit")
-        if one.verdict != verdict:
-            faults.append(f"{one.name} is {one.value:g}, so it is not so that it {verdict}")
-    return [*faults, *_unlike_growth(results)]
-
-
-def _unlike_growth(results: Results) -> list[str]:
-    """Check that the benchmark's last rows sum the growth up."""
-    summed, table = growth_rows(results.table("bench_growth")), results.table("bench")
+    for row in records(table):
+        verdict = row.pop("verdict")
+        one = Measurement(**row)
+        if not 0.0 < one.value < np.inf or one.verdict != ("" if verdict != verdict else verdict):
+            faults.append(f"{one.name} is {one.value:g}, and {verdict}")
+    summed = growth_rows(results.table("bench_growth"))
     last = table.tail(len(summed))
-    if list(last["name"]) != [row.name for row in summed]:
-        return ["the last rows of bench.csv are not those of bench_growth.csv"]
-    if not np.allclose(last["value"], [row.value for row in summed], rtol=1e-5):  # of six digits
-        return ["the last rows of bench.csv do not follow from bench_growth.csv"]
-    return []
+    if list(last["name"]) != [row.name for row in summed] or not np.allclose(
+        last["value"],
+        [row.value for row in summed],
+        rtol=1e-5,  # of six digits
+    ):
+        faults.append("the last rows of bench.csv do not follow from bench_growth.csv")
+    return faults
 
 
 def growth_faults(results: Results) -> list[str]:
@@ -221,79 +187,19 @@ def growth_faults(results: Results) -> list[str]:
     expected = [list(cell.columns.values()) for cell in growth_cells(**COMMITTED)]
     if table[["sensor", "duration_s", "step"]].to_numpy().tolist() != expected:
         return [f"its steps are not the {len(expected)} of today's benchmark"]
-    faults = _unlike_growth(results)
-    for row in table.to_dict("records"):
-        name = f"{row['sensor']}, {row['duration_s']:g} s, {row['step']}"
-        if row["status"] != Status.OK.value:
-            faults.append(f"{name}: {row['status']}")
-        faults += [
-            f"{name}: {column} is {row[column]}"
-            for column in ("events_per_camera", "wall_s", "cpu_s", "peak_mb")
-            if not 0.0 < float(row[column]) < np.inf
-        ]
-    return faults
-
-
-_SHOWN = {
-    # row of bench.csv: unit, decimals and the words for it
-    "render, native, 257 samples per pixel: crops": ("poses/s", 0, "rendering, native"),
-    "render, native, 257 samples per pixel: ratio to OpenGL's crops": ("x", 1, "... over OpenGL"),
-    "render, native, 257 samples per pixel: ratio": ("x", 0, "... over pyrender alike"),
-    "render, native, 64 samples per pixel: ratio to it": (
-        "x", 0, "64 samples, over pyrender untouched",
-    ),
-    "render, osmesa, 257 samples per pixel: crops": ("poses/s", 0, "rendering, OSMesa"),
-    "render, osmesa, 257 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
-    "render, egl, 257 samples per pixel: crops": ("poses/s", 0, "rendering, EGL"),
-    "render, egl, 257 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
-    "sensor, 346 x 260 float frames": ("frames/s", 0, "sensor model, full frames"),
-    "sensor over eventify-dvs": ("x", 1, "... over eventify-dvs' NumPy"),
-    "sensor over ESIM's core, quoted": ("x", 2, "... over ESIM's C++, as quoted"),
-    "simulate a 20 s pair, frames included": ("s", 1, "a pair of 20 s simulated"),
-    "simulate a 20 s pair: peak memory": ("MB", 0, "its memory"),
-    "sync, ssac: all but reading": ("s", 2, "`ssac` on a pair of 20 s"),
-    "sync, joint: all but reading": ("s", 2, "`joint` on it"),
-    "sync, tangency: all but reading": ("s", 2, "`tangency` on it"),
-    "sync, stage: reading": ("s", 2, "of this, first: reading"),
-    "sync, stage: checks and denoising": ("s", 2, "checks and denoising"),
-    "sync, stage: tracks": ("s", 2, "tracks"),
-    "sync, stage: search over +-1 s": ("s", 2, "search over 2 s"),
-    "sync, stage: joint refinement": ("s", 2, "`joint`'s refinement"),
-    "sync, stage: tangency refinement": ("s", 2, "`tangency`'s refinement"),
-    "read 10 M events, .h5: ratio": ("x", 2, "reading HDF5, over h5py"),
-    "read 10 M events, .aedat4: ratio": ("x", 2, "reading AEDAT4, over faery"),
-    "read 10 M events, .raw: ratio": ("x", 2, "reading RAW, over faery"),
-    "tables: recordings": ("", 0, "recordings of the tables"),
-    "tables, from nothing: all, 2 workers": ("s", 0, "the tables from nothing"),
-    "tables, recordings cached: all, 2 workers": ("s", 0, "... recordings cached"),
-    "tables, from nothing: 1 -> 2 workers": ("x", 2, "two workers over one"),
-    "tables: peak memory of a worker": ("MB", 0, "memory of a worker"),
-    "growth, largest pair: events per camera": ("events", 0, "the largest pair: events a camera"),
-    "growth, largest pair: simulate": ("s", 0, "simulated"),
-    "growth, largest pair: simulate, peak memory": ("MB", 0, "... memory"),
-    "growth, largest pair: synchronise": ("s", 1, "synchronised"),
-    "growth, largest pair: synchronise, peak memory": ("MB", 0, "... memory"),
-    "growth, 1280 x 720: simulate, time over events": ("exponent", 2, "growth: simulating, time"),
-    "growth, 1280 x 720: synchronise, time over events": ("exponent", 2, "... synchronising, time"),
-    "growth, 1280 x 720: synchronise, memory over events": ("exponent", 2, "... and memory"),
-}  # fmt: skip
-
-_OPTIONAL = ("sensor over eventify-dvs", "sensor over ESIM's core, quoted")
-"""Of these rows: with the peer's package alone."""
+    columns = ["events_per_camera", *_TOOK]
+    wrong = ~table[columns].gt(0.0).all(axis=1) | (table["status"] != Status.OK.value)
+    return [f"row {row}: {table['status'][row]}, or no time" for row in table.index[wrong]]
 
 
 def page_table(results: Results) -> str:
-    """Lay out the main figures beside their marks, but for those of peers that are not there."""
+    """Lay out what was measured beside its marks."""
     rows = []
-    measured = set(results.table("bench")["name"])
-    for name, (unit, decimals, words) in _SHOWN.items():
-        if name in _OPTIONAL and name not in measured:
-            continue
-        row = results.rows("bench", name=name).iloc[0]
-        has_mark, bound = np.isfinite(row["mark"]), ">=" if row["higher_is_better"] else "<="
-        value = f"{row['value']:.{decimals}f} {unit}".strip()
-        mark = f"{bound} {row['mark']:g} {unit}"
-        rows.append([words, value, *([mark, str(row["verdict"])] if has_mark else ["", ""])])
+    for row in records(results.table("bench")):
+        mark = f"{'>=' if row['higher_is_better'] else '<='} {row['mark']:g} {row['unit']}"
+        has_mark = np.isfinite(row["mark"])
+        shown = f"{row['value']:{'.0f' if row['value'] >= 100 else '.3g'}} {row['unit']}"
+        rows.append([row["name"], shown, *([mark, row["verdict"]] if has_mark else ["", ""])])
     return markdown_table(["what", "measured", "mark", "verdict"], rows)
 
 
@@ -305,7 +211,6 @@ def minutes(results: Results, what: str, decimals: int) -> str:
 
 _SHARED: dict[str, Any] = {"config": {"growth": POINTS}, "command": "ssac bench",
                            "how": How.ALONE, "committed": COMMITTED}  # fmt: skip
-_TOOK = ("wall_s", "cpu_s", "peak_mb")
 
 GROWTH = Study(
     "bench_growth",
@@ -317,7 +222,6 @@ GROWTH = Study(
         ("sensor", "duration_s", "step"),
         ("sensor", "duration_s", "step", "events_per_camera", *_TOOK, "status", "t_d_error_ms"),
         numbered=False,
-        took=_TOOK,
         table=growth_table,
     ),
     (made_of("bench_growth.png", growth_figure, "bench_growth"),),
@@ -329,8 +233,7 @@ BENCH = Study(
     "Speed and memory, as ratios side by side",
     part_cells,
     PART,
-    Runs("bench.csv", ("name", "unit"), numbered=False, took=("value", "verdict"),
-         table=bench_table),
+    Runs("bench.csv", ("name",), numbered=False, table=bench_table),
     numbers={
         "table.bench": page_table,
         "minutes.tables.cached": partial(minutes, what="recordings cached", decimals=1),

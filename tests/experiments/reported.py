@@ -16,14 +16,12 @@ from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_tables, ordered_runs
 from ssac.camera import Rig
 from ssac.files.hdf5 import save_events_h5
+from ssac.pipeline.registry import OURS
 from ssac.track.observation import Observation
 from tests.recorded import KALIBR
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
-METHODS = (
-    "ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known", "albl", "zncc_e",
-    "zncc_f", "event_rate",
-)  # fmt: skip
+METHODS = tuple(method.name for method in OURS)
 FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
            "success", "efficiency")  # fmt: skip
 

@@ -3,8 +3,6 @@
 import re
 from pathlib import Path
 
-from experiments.lab.files import SUMS_FILE
-
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 
 
@@ -14,19 +12,10 @@ def delete(path: Path) -> None:
 
 def double_a_number(path: Path) -> None:
     """Double the last number that doubling changes."""
-    _scale_a_number(path, 2.0)
-
-
-def halve_a_number(path: Path) -> None:
-    """Halve the last number that halving changes."""
-    _scale_a_number(path, 0.5)
-
-
-def _scale_a_number(path: Path, factor: float) -> None:
     text = path.read_text(encoding="utf-8")
     last = [found for found in _NUMBER.finditer(text) if float(found.group()) != 0.0][-1]
-    scaled = f"{factor * float(last.group()):.6g}"
-    path.write_text(text[: last.start()] + scaled + text[last.end() :], encoding="utf-8")
+    doubled = f"{2.0 * float(last.group()):.6g}"
+    path.write_text(text[: last.start()] + doubled + text[last.end() :], encoding="utf-8")
 
 
 def change_a_status(path: Path) -> None:
@@ -34,14 +23,6 @@ def change_a_status(path: Path) -> None:
     before, ok, after = path.read_text(encoding="utf-8").rpartition(",ok,")
     assert ok
     path.write_text(f"{before},no_match,{after}", encoding="utf-8")
-
-
-def swap_two_rows(path: Path) -> None:
-    """Swap the last row with the last that is another."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    other = max(at for at, line in enumerate(lines[:-1]) if line != lines[-1])
-    lines[-1], lines[other] = lines[other], lines[-1]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def delete_a_row(path: Path) -> None:
@@ -60,12 +41,5 @@ def flip_a_byte(path: Path) -> None:
     path.write_bytes(bytes(content))
 
 
-DAMAGES = (delete, delete_a_row, double_a_row, double_a_number, halve_a_number)
+DAMAGES = (delete, delete_a_row, double_a_row, double_a_number)
 """Of a table or page: a row is gone, is there twice, or has another number."""
-
-
-def damages_of(name: str) -> tuple:
-    """Give what is tried on a file of this name."""
-    if name.endswith(".png") or name == SUMS_FILE:  # whose order says nothing
-        return delete, flip_a_byte
-    return delete, double_a_number, swap_two_rows

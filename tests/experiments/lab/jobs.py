@@ -6,11 +6,10 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.lab.pool import Pool, Processes
+from experiments.lab.pool import Pool
 
 
 def square(number: int) -> int:
@@ -56,7 +55,6 @@ class Unreadable:
 
 
 def wait_for_ever(_: int) -> None:
-    os.write(1, b"waiting\n")  # at once, among others that write too
     while True:
         time.sleep(1.0)
 
@@ -82,11 +80,5 @@ def work_off(pool: Pool, jobs: Sequence[Callable[[], Any]]) -> list["Future[Any]
     return found
 
 
-def main() -> None:
-    """Keep two workers busy: what a process does that is then killed."""
-    with Processes(2) as pool:
-        work_off(pool, [partial(wait_for_ever, number) for number in range(2)])
-
-
 if __name__ == "__main__":
-    main() if len(sys.argv) == 1 else hold(Path(sys.argv[1]))
+    hold(Path(sys.argv[1]))

@@ -31,7 +31,7 @@ from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
-from tests.experiments.lab.damage import change_a_status, delete, double_a_number, halve_a_number
+from tests.experiments.lab.damage import change_a_status, delete, double_a_number
 from tests.experiments.lab.squares import SQUARES, squared, write_squares
 
 
@@ -81,7 +81,6 @@ def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
     ("damage", "fault"),
     [
         (double_a_number, "cell 5: square is 49, committed: 98. "),
-        (halve_a_number, "cell 5: square is 49, committed: 24.5. "),
         (change_a_status, "cell 5: status is ok, committed: no_match. "),
         (delete, "SsacError: "),
     ],
@@ -152,51 +151,52 @@ def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize(
-    ("name", "mine", "committed", "is_same"),
+    ("method", "name", "mine", "committed", "is_same"),
     [
-        ("status", "ok", "search_bound", False),
-        ("t_d_estimate_ms", "50.0123", "50.0125", False),
-        ("r_error_deg", "0.0512345", "0.0512367", False),
-        ("r_error_deg", "0.0512345", "", False),
-        ("d_avg_px", "0.186781", "0.186784", False),
-        ("n_samples", "350", "349", False),
-        ("n_samples", "350", "350.1", False),
-        ("n_events_cam1", "1234567", "1234568", False),
-        ("reason", "", "no reason", False),
-        ("t_d_error_ms", "0.0658834", "0.0658835", True),  # as on a processor without AVX-512
-        ("t_d_estimate_ms", "999999", "1e+06", True),
-        ("r_z_normalised", "-1.00001", "-1", True),
-        ("t_d_error_ms", "2.84217e-14", "0", True),  # the difference of two that are nearly equal
-        ("t_d_error_ms", "3.99794e-05", "3.99771e-05", True),
-        ("n_events_cam1", "1234567", "1.23457e+06", True),  # a count that a table rounds
+        ("joint", "status", "ok", "search_bound", False),
+        ("joint", "n_events_cam1", "1234567", "1234568", False),
+        ("joint", "t_d_estimate_ms", "50.0123", "50.0125", False),
+        ("joint", "r_error_deg", "0.0512345", "0.0512367", False),
+        ("joint", "r_error_deg", "0.0512345", "", False),
+        ("joint", "d_avg_px", "0.186781", "0.186784", False),
+        ("joint", "n_samples", "350", "349", False),
+        ("joint", "n_samples", "350", "350.1", False),
+        ("joint", "reason", "", "no reason", False),
+        (
+            "joint",
+            "t_d_error_ms",
+            "0.0658834",
+            "0.0658835",
+            True,
+        ),  # as on a processor without AVX-512
+        ("joint", "t_d_estimate_ms", "999999", "1e+06", True),
+        ("joint", "r_z_normalised", "-1.00001", "-1", True),
+        (
+            "joint",
+            "t_d_error_ms",
+            "2.84217e-14",
+            "0",
+            True,
+        ),  # the difference of two that are nearly equal
+        ("joint", "t_d_error_ms", "3.99794e-05", "3.99771e-05", True),
+        ("joint", "n_events_cam1", "1234567", "1.23457e+06", True),  # a count that a table rounds
+        # One that follows a body may differ by a little more.
+        ("tangency", "t_d_error_ms", "0.0658834", "0.0668834", True),
+        ("tangency", "n_samples", "1201", "1200", True),
+        ("tangency", "t_d_error_ms", "0.0658834", "0.265883", False),
+        ("tangency", "n_samples", "1100", "1200", False),
+        ("tangency", "n_events_cam1", "1234567", "1234568", False),
+        ("tangency", "status", "ok", "search_bound", False),
     ],
 )
 def test_every_number_counts_on_any_machine_and_may_differ_by_rounding(
-    name: str, mine: str, committed: str, is_same: bool
+    method: str, name: str, mine: str, committed: str, is_same: bool
 ) -> None:
     for one, other in ((mine, committed), (committed, mine)):
-        found = faults(row(**{name: one}), row(**{name: other}))
+        found = faults(row(method=method, **{name: one}), row(method=method, **{name: other}))
         assert (found == ()) == is_same
         assert all(f"{name} is " in fault for fault in found)
     assert 1000.0 * ROUNDING < 0.01  # the paper's tables print 0.01 ms and 0.01 deg
-
-
-@pytest.mark.parametrize(
-    ("name", "mine", "committed", "is_same"),
-    [
-        ("t_d_error_ms", "0.0658834", "0.0668834", True),
-        ("n_samples", "1201", "1200", True),
-        ("t_d_error_ms", "0.0658834", "0.265883", False),
-        ("n_samples", "1100", "1200", False),
-        ("n_events_cam1", "1234567", "1234568", False),
-        ("status", "ok", "search_bound", False),
-    ],
-)
-def test_what_follows_a_body_may_differ_by_a_little(
-    name: str, mine: str, committed: str, is_same: bool
-) -> None:
-    one, other = (row(method="tangency", **{name: value}) for value in (mine, committed))
-    assert (faults(one, other) == ()) == is_same
 
 
 def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone() -> None:
@@ -210,12 +210,6 @@ def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone() -> None
             assert f"{name} is {value}, committed: no column" in fault
             (fault,) = faults(row().drop(columns=name), row())
             assert f"{name} is no column, committed" in fault
-
-
-def test_measured_are_the_numbers_of_a_row_that_are_no_counts() -> None:
-    assert {"t_d_estimate_ms", "t_d_error_ms", "d_avg_px", "r_mahalanobis"} <= MEASURED
-    assert not {"status", "reason", "n_samples", "n_events_cam1", "flight", "t_d_ms"} & MEASURED
-    assert measured_by(SQUARES) == {"square"}
 
 
 @pytest.mark.parametrize(
@@ -285,13 +279,10 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(
     _, output = verify(results, "--recordings", "300", "--only", "squares")
     assert "--recordings 300 --only squares\n" in output
     assert [name for name, _ in seen.pop()] == ["squares"]
+    with pytest.raises(SsacError, match="no such folder: run `make tables"):
+        verify(results / "none")
     (results / "squares.csv").unlink()
     code, output = verify(results, "--recordings", "0")
     assert code == 1
     assert "        - squares.csv\n" in output
     assert len(seen) == 2
-
-
-def test_no_folder_is_no_verdict_but_an_error(tmp_path: Path) -> None:
-    with pytest.raises(SsacError, match="no such folder: run `make tables"):
-        verify(tmp_path / "none")

@@ -232,12 +232,10 @@ def test_a_recording_is_what_its_checksums_say(folder):
     whole = (folder / "cam1.h5").read_bytes()
     (folder / "cam1.h5").write_bytes(flipped(whole, len(whole) // 2))
     assert not is_sound(folder)
-    assert is_sound(folder, ("rig.yaml",))
     (folder / "cam1.h5").write_bytes(whole)
     assert is_sound(folder)
     (folder / "rig.yaml").unlink()
     assert not is_sound(folder)
-    assert not is_sound(folder, ("rig.yaml",))
     folder.with_name("abcd.sha256").write_text("[3")
     assert not is_sound(folder)
 

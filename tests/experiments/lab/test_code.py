@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
-from experiments.lab.code import ROOT, SourceTree, code_of, read_source
+from experiments.lab.code import ROOT, SourceTree, code_of
 from experiments.lab.grid import Cell
 from experiments.lab.scored import SCORED
 from experiments.lab.task import Task, run_task
@@ -201,15 +201,6 @@ def test_a_row_depends_on_what_its_pipeline_calls_and_on_nothing_else_of_it() ->
     assert not {name for name in row if name.startswith("experiments.lab.cache:Cache")}
     # How an object moves is no matter of what is left without noise.
     assert not {name for name in SourceTree().closure(*DENOISED_CODE) if "motion" in name}
-
-
-def test_prose_does_not_count_but_code_does() -> None:
-    def digest(text: str) -> str:
-        return read_source(text).whole.digest
-
-    base = digest("def f(x):\n    return x + 1\n")
-    assert digest('"""A."""\ndef f(x):  # b\n    """C."""\n    return x + 1') == base
-    assert digest("def f(x):\n    return x + 2\n") != base
 
 
 def test_packages_only_list_names() -> None:

@@ -73,7 +73,3 @@ def test_changed_code_makes_the_commit_dirty_and_results_that_are_being_made_do_
     assert provenance.code_commit() == commit
     (tmp_path / "code.py").write_text("2\n")
     assert provenance.code_commit() == f"{commit}-dirty"
-
-
-def test_a_provenance_names_the_processor_which_decides_the_last_digits():
-    assert provenance.provenance("ssac tables", {}, 1.0, None)["processor"]

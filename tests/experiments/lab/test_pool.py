@@ -1,10 +1,10 @@
-"""Workers: those that die are replaced, none outlives who started it, and freed memory is kept."""
+"""Workers: those that die are replaced, and nothing that a job does takes another with it.
+
+That they end with a process that is killed is tested in `tests/experiments/sweep`.
+"""
 
 import os
-import platform
 import signal
-import subprocess
-import sys
 from functools import partial
 
 import pytest
@@ -78,41 +78,5 @@ def test_what_cannot_be_sent_or_read_back_is_an_error_and_no_death():
     assert nine.result() == 9
 
 
-def test_workers_end_when_the_process_that_started_them_is_killed():
-    command = [sys.executable, "-m", "tests.experiments.lab.jobs"]
-    environment = os.environ | {"PYTHONPATH": os.getcwd()}
-    parent = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
-    assert [parent.stdout.readline() for _ in range(2)] == [b"waiting\n"] * 2
-    parent.kill()
-    # The pipe ends when nobody holds its other end: neither the parent nor a worker.
-    assert parent.communicate(timeout=60)[0] == b""
-    assert parent.returncode == -signal.SIGKILL
-
-
 def test_there_is_a_core():
     assert 1 <= n_cores() <= (os.cpu_count() or 1)
-
-
-_FAULTS = """
-import resource, numpy as np
-from experiments.lab.pool import keep_freed_memory
-{call}
-n_faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-fill = lambda: np.ones(1 << 21)
-fill()
-before = n_faults()
-for _ in range(20):
-    fill()
-print(n_faults() - before)
-"""
-_ARRAY_PAGES = 8  # of 16 MB, the largest that there are: 2 MB
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no mallopt")
-def test_arrays_take_the_memory_of_those_before_them():
-    def faults(call: str) -> int:
-        command = [sys.executable, "-c", _FAULTS.format(call=call)]
-        return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-
-    assert faults("") >= 20 * _ARRAY_PAGES  # else there is nothing to gain here
-    assert faults("keep_freed_memory()") < _ARRAY_PAGES

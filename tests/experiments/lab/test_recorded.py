@@ -42,8 +42,9 @@ def test_a_pair_comes_back_as_denoising_left_it(
     by_events = {id(cam1): left[0], id(cam2): left[1]}
     calls = []
     monkeypatch.setattr(module, "clean", lambda seen, *_: by_events[id(seen)])
+    monkeypatch.setattr(module, "load_pair", lambda _: calls.append(1) or raw)
     for _ in range(2):
-        pair = clean_pair(recorded.folder, lambda: calls.append(1) or raw, HOW, Cache(tmp_path))
+        pair = clean_pair(recorded.folder, HOW, Cache(tmp_path))
         for one, other in zip(pair, left, strict=True):
             assert_same(one, other)
         assert [one.n_recorded for one in pair] == [len(cam1.events), len(cam2.events)]
@@ -51,13 +52,13 @@ def test_a_pair_comes_back_as_denoising_left_it(
 
 
 def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(
-    recorded: Recorded, tmp_path: Path
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cam1, cam2, rig = load_pair(recorded.folder)
     few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # none near another
-    raw = Pair(cam1, few, rig)
+    monkeypatch.setattr(module, "load_pair", lambda _: Pair(cam1, few, rig))
     for _ in range(2):
-        pair = clean_pair(recorded.folder, lambda: raw, HOW, Cache(tmp_path))
+        pair = clean_pair(recorded.folder, HOW, Cache(tmp_path))
         assert len(pair[1].events) == 0 < len(few.events) == pair[1].n_recorded
         chain = Chain(pair, rig)
         for method in OURS:

@@ -27,7 +27,6 @@ from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
 from experiments.lab.study import Runs, check_runs, numbered, run_study
 from experiments.lab.task import Task, recordings_key
 from sim.recording import SimConfig
-from ssac.cli.exits import BUG
 from ssac.errors import SsacError
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 from tests.left_over import ended_process, made_by
@@ -241,13 +240,6 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path: Pa
         LOADED.clear()
 
 
-def test_a_crashed_run_makes_the_command_fail(tmp_path: Path) -> None:
-    FAULTS["power 1"] = RuntimeError("a bug")
-    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
-    assert result.exit_code == BUG
-    assert (pd.read_csv(tmp_path / "squares_runs.csv")["status"] == "crashed").sum() == 4
-
-
 def test_what_killed_runs_left_is_removed(tmp_path):
     ended = ended_process()
     recordings, runs = tmp_path / "recordings", tmp_path / "runs"
@@ -314,18 +306,6 @@ class Mortal(Pool):
         future: Future[Any] = Future()
         future.set_exception(DiedError("ended by SIGKILL"))
         return future
-
-
-def test_a_worker_that_dies_once_costs_its_task_nothing_but_time(tmp_path, monkeypatch, capsys):
-    pool = Mortal({1: 1, 3: 1})
-    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
-    outcome = run(tmp_path)
-    assert values(outcome) == VALUES
-    assert (outcome.n_deaths, outcome.n_crashed) == (2, 0)
-    assert sorted(pool.given) == sorted([*NUMBERS, 1, 3])
-    said = capsys.readouterr().err
-    assert said.count("run again by a new one") == 2
-    assert "a worker ended by SIGKILL on the flight of 20 s at 90 deg with seed 1" in said
 
 
 def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(

@@ -26,10 +26,11 @@ from experiments.studies import all_studies
 from ssac.errors import SsacError
 from tests.experiments.lab.damage import (
     DAMAGES,
-    damages_of,
+    delete,
     delete_a_row,
     double_a_number,
     double_a_row,
+    flip_a_byte,
 )
 from tests.experiments.lab.squares import SQUARES, write_squares
 
@@ -72,9 +73,8 @@ def test_every_damage_to_any_file_is_found_by_its_checksum(results):
     for name in (*SQUARES.files, *SQUARES.provenances, SUMS_FILE):
         path = results / name
         content = path.read_bytes()
-        for damage in damages_of(name):
+        for damage in (delete, flip_a_byte):
             damage(path)
-            assert path.read_bytes() != content if path.exists() else True
             assert faulty(file_findings(results, [SQUARES])), f"{damage.__name__}: {name}"
             path.write_bytes(content)
 

@@ -15,23 +15,20 @@ from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.task import Task, run_task
-from experiments.machine import growth
+from experiments.machine import growth, parts
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
-from experiments.machine.parts import PART, Measurement, PartCell
-from experiments.machine.simulating import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
-from experiments.machine.synchronising import MARKS_S, bench_sync
-from experiments.machine.tables import measured_cells
+from experiments.machine.parts import PART, Measurement, PartCell, measured_cells
 from experiments.paper.esim import n_recordings, table_cells
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from ssac.estimate import Estimate
-from ssac.pipeline.registry import OURS
+from ssac.pipeline.registry import METHODS
 
 
 def made_up_growth() -> pd.DataFrame:
-    """Return some points, linear in its events: 26 B of one to simulate it, 45 to synchronise."""
+    """Return some points, linear in their events."""
     rows = []
     for point in POINTS:
         n = point.events_per_s * point.duration_s
@@ -54,10 +51,10 @@ def made_up_growth() -> pd.DataFrame:
         (9.0, 10.0, True, "misses"),
         (math.nan, 10.0, True, "misses"),
         (math.nan, 10.0, False, "misses"),
-        (5.0, None, False, ""),
+        (5.0, math.nan, False, ""),
     ],
 )
-def test_verdict(value: float, mark: float | None, higher: bool, verdict: str) -> None:
+def test_verdict(value: float, mark: float, higher: bool, verdict: str) -> None:
     assert Measurement("m", value, "s", mark, higher).verdict == verdict
 
 
@@ -82,36 +79,19 @@ def test_a_process_of_its_own_may_start_more() -> None:
 
 
 @pytest.mark.render
-def test_the_sensor_is_timed_on_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.machine.simulating.N_FRAMES", 20)
-    monkeypatch.setattr("experiments.machine.simulating.REPEATS", 1)
-    rows = {(row.name, row.unit): row.value for row in bench_sensor()}
-    assert all(value > 0 for value in rows.values())
-
-
-def test_a_peer_that_is_not_installed_is_quoted_and_the_row_says_so() -> None:
-    (quoted,) = beside_peers(ESIM_FRAMES_PER_S, None)
-    assert quoted.name.endswith("quoted (eventify-dvs is not installed)")
-    assert (quoted.value, quoted.verdict) == (1.0, "meets")
-    peer, ratio, quoted = beside_peers(100.0, 50.0)
-    assert (peer.value, ratio.value, ratio.verdict) == (50.0, 2.0, "meets")
-    assert quoted.verdict == ""  # what is measured here is what counts
-
-
-@pytest.mark.render
-def test_every_stage_and_every_method_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.machine.synchronising.REPEATS", 1)
-    rows = bench_sync(SimConfig(spline=SplineConfig(duration_s=5.0)))
-    names = {row.name for row in rows}
-    assert {f"sync, {method.name}: all but reading" for method in OURS} <= names
-    assert {name.partition(": ")[2] for name in names if name.startswith("sync, stage")} == {
-        *("reading", "checks and denoising", "tracks", "search over +-1 s", "joint refinement"),
-        *("outlines and tangents", "tangents alone", "tangency refinement"),
-    }
-    assert sum(row.mark is not None for row in rows) == len(MARKS_S)
-    assert all(
-        row.value > 0.0 for row in rows if row.name != "sync, stage: outlines"
-    )  # a difference
+def test_renderers_and_methods_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "N_POSES", 20)
+    monkeypatch.setattr(parts.best_seconds, "__defaults__", (1,))
+    monkeypatch.setattr(parts, "OURS", [METHODS["joint"], METHODS["zncc_f"]])
+    rows = [
+        *parts.bench_rendering(),
+        *parts.bench_sync(SimConfig(spline=SplineConfig(duration_s=3.0))),
+    ]
+    assert [row.name for row in rows[2:]] == [
+        f"sync, {name}: all but reading" for name in ("joint", "zncc_f")
+    ]
+    assert [np.isfinite(row.mark) for row in rows] == [False, True, True, False]
+    assert all(row.value > 0.0 for row in rows)
 
 
 def test_the_measured_recordings_are_some_of_the_tables() -> None:
@@ -133,19 +113,10 @@ def test_a_short_run_leaves_the_largest_points_out() -> None:
     assert bench.growth_cells() == bench.growth_cells("short") != cells
 
 
-def test_an_exponent_is_that_of_the_power() -> None:
-    events = pd.Series([1e5, 1e6, 3e7])
-    for power in (0.5, 1.0, 2.0):
-        assert bench.exponent(events, 7.0 * events**power) == pytest.approx(
-            power, abs=1e-12
-        )  # rounding
-
-
 def test_what_is_linear_meets_the_marks_and_what_is_not_misses_them() -> None:
     name = "growth, 1280 x 720: synchronise, {} over events"
     linear = {row.name: row for row in growth_rows(made_up_growth())}
-    assert {row.verdict for row in linear.values() if row.mark} == {"meets"}
-    assert linear["growth, 1280 x 720: synchronise, memory of an event"].value == pytest.approx(45)
+    assert {row.verdict for row in linear.values()} == {"meets", ""}
     table = made_up_growth()
     for column in ("wall_s", "cpu_s", "peak_mb"):
         table[column] *= table["events_per_camera"] / 5e6
@@ -158,7 +129,7 @@ def test_a_pair_too_small_for_the_marks_is_not_held_against_them() -> None:
     table = made_up_growth()
     short = table[table["events_per_camera"] <= bench.SHORT_EVENTS]
     assert 0 < len(short) < len(table)
-    assert not [row.name for row in growth_rows(short) if row.mark and "largest" in row.name]
+    assert not [row.name for row in growth_rows(short) if row.verdict and "largest" in row.name]
 
 
 def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None:
@@ -206,15 +177,15 @@ def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
     (tmp_path / "bench.csv").write_text(csv_text(table))
     for file, whole, check, changes in (
         ("bench.csv", table, bench.bench_faults, (
-            (table.assign(verdict="misses"), "it misses"),
+            (table.assign(verdict="misses"), "drawing is 2, and misses"),
             (table.assign(value=0.0), "drawing is 0"),
-            (table.assign(unit=""), "no unit"),
-            (table.iloc[:-1], "are not those of bench_growth.csv"),
-            (table.drop(columns="mark"), "its columns are"),
+            (table.iloc[:-1], "do not follow from bench_growth.csv"),
         )),
         ("bench_growth.csv", grown, bench.growth_faults, (
             (grown.iloc[1:], "its steps are not the 16"),
-            (grown.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
+            (grown.assign(status="no_match", cpu_s=np.nan), "row 0: no_match"),
+        )),
+        ("bench_growth.csv", grown, bench.bench_faults, (
             (grown.assign(peak_mb=2 * grown["peak_mb"]), "do not follow from"),
         )),
     ):  # fmt: skip
