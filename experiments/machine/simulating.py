@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from experiments.machine.parts import Measurement, best_rate, peak_memory_mb
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
-from sim.render.gl_reference import PyrenderFullFrame
+from sim.render.footprint import footprint, plan_views
+from sim.render.gl_atlas import GLPainter
+from sim.render.gl_reference import StockPyrender
 from sim.render.lattice import Lattice
 from sim.render.renderer import Renderer
 from sim.scene.background import uniform_background
@@ -26,7 +28,7 @@ from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from sim.sensor.events import Sensor, SensorConfig
-from ssac.arrays import Array
+from ssac.arrays import Array, IntArray
 
 REPEATS = 3  # the best of as many is taken
 
@@ -46,9 +48,9 @@ STEP_PX = 0.2  # between frames
 def bench_render(by: str) -> list[Measurement]:
     """Poses per second of our crops and of pyrender's full frames, with the same samples.
 
-    "Pyrender, our shaders" is pyrender's renderer drawing the same pixels into a framebuffer of one
-    channel; "untouched" is pyrender as it comes, which draws 8-bit colour and reads its depth back
-    as well. Of the native renderer also the ratio to our own crops by OpenGL.
+    "Pyrender, our shaders" is pyrender's meshes and programs drawing the same pixels into a buffer
+    of one channel; "untouched" is pyrender as it comes, which draws 8-bit colour and reads its
+    depth back as well. Of the native renderer also the ratio to our own crops by OpenGL.
 
     Both are drawn by "native", or by an OpenGL backend.
     """
@@ -58,7 +60,9 @@ def bench_render(by: str) -> list[Measurement]:
     times_s: Array = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
     T_W_B = flight.poses(times_s)
     background = uniform_background(camera, 0.4)
-    some = range(0, N_POSES, N_POSES // N_FULL_FRAMES)
+    some: IntArray = np.arange(0, N_POSES, N_POSES // N_FULL_FRAMES)
+    seen = footprint(drone, camera, times_s, T_W_B)
+    whole = plan_views(drone, camera, seen, some, times_s, T_W_B).of_whole_images(camera)
 
     def crops(renderer: Renderer) -> int:
         batches = renderer.crops(camera, times_s, T_W_B, background)
@@ -68,9 +72,14 @@ def bench_render(by: str) -> list[Measurement]:
         with Renderer(drone, config) as renderer:
             return best_rate(partial(crops, renderer), REPEATS)
 
-    def frames(draw: Callable[..., Any], *behind: Any) -> int:
+    def frames(painter: GLPainter) -> int:
+        for k in range(len(some)):
+            painter.paint(camera, whole.chosen(slice(k, k + 1)), whole.boxes[:1, :2], background)
+        return len(some)
+
+    def untouched(stock: StockPyrender) -> int:
         for k in some:
-            draw(float(times_s[k]), T_W_B[k], *behind)
+            stock.covered(float(times_s[k]), T_W_B[k])
         return len(some)
 
     rows = []
@@ -78,8 +87,9 @@ def bench_render(by: str) -> list[Measurement]:
         with_gl = RenderConfig(lattice, renderer="pyrender", backend="auto" if by == NATIVE else by)
         native = replace(with_gl, renderer=NATIVE, check=False)
         ours_per_s = crops_per_s(native if by == NATIVE else with_gl)
-        reference = PyrenderFullFrame(drone, camera, with_gl)
-        theirs_per_s = best_rate(partial(frames, reference.render, background), REPEATS)
+        painter = GLPainter(drone, with_gl)
+        theirs_per_s = best_rate(partial(frames, painter), REPEATS)
+        painter.close()
         label = f"render, {by}, {lattice.samples_per_pixel} samples per pixel"
         rows += [
             Measurement(f"{label}: crops", ours_per_s, "poses/s"),
@@ -90,7 +100,8 @@ def bench_render(by: str) -> list[Measurement]:
             ratio = ours_per_s / crops_per_s(with_gl)
             rows.append(Measurement(f"{label}: ratio to OpenGL's crops", ratio, "x", 4.0, True))
         if lattice.b == 0:  # pyrender itself knows regular grids only
-            untouched_per_s = best_rate(partial(frames, reference.stock), REPEATS)
+            stock = StockPyrender(drone, camera, lattice.a, with_gl.backend)
+            untouched_per_s = best_rate(partial(untouched, stock), REPEATS)
             rows += [
                 Measurement(f"{label}: pyrender untouched", untouched_per_s, "poses/s"),
                 Measurement(f"{label}: ratio to it", ours_per_s / untouched_per_s, "x", 50.0, True),
