@@ -60,7 +60,7 @@ def bench_render(by: str) -> list[Measurement]:
     times_s: Array = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
     T_W_B = flight.poses(times_s)
     background = uniform_background(camera, 0.4)
-    some: IntArray = np.arange(0, N_POSES, N_POSES // N_FULL_FRAMES)
+    some: IntArray = np.arange(0, N_POSES, N_POSES // N_FULL_FRAMES, dtype=np.int64)
     seen = footprint(drone, camera, times_s, T_W_B)
     whole = plan_views(drone, camera, seen, some, times_s, T_W_B).of_whole_images(camera)
 
