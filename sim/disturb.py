@@ -159,8 +159,7 @@ def branches(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any
 
 def people(view: View, n_people: int, rng: np.random.Generator) -> NDArray[Any]:
     """Let people walk in over the left or the right border, and on to the other one."""
-    walks = [_walk(view, rng) for _ in range(n_people)]
-    return np.concatenate([view.events(*(np.empty(0),) * 3, np.empty(0, bool)), *walks])
+    return np.concatenate([_walk(view, rng) for _ in range(n_people)])
 
 
 def _branch(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]:
@@ -281,11 +280,13 @@ def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArra
         (people, config.people),
         (clouds, config.clouds_px_s),
     )
-    parts: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
-    for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True):
-        if amount:
-            parts.append(draw(view, amount, generator(seed, _STREAM, stream, camera)))
-    return merged(*parts)
+    return merged(
+        *(
+            draw(view, amount, generator(seed, _STREAM, stream, camera))
+            for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True)
+            if amount
+        )
+    )
 
 
 def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArray[Any]:
@@ -295,7 +296,7 @@ def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArr
 
 def merged(*streams: NDArray[Any]) -> NDArray[Any]:
     """Sort streams of events into one; of events at a time, those of the first come first."""
-    events = np.concatenate(streams)
+    events = np.concatenate([np.empty(0, EVENT_DTYPE), *streams])
     order = np.argsort(events["t"], kind="stable")
     return np.take(events, order)
 

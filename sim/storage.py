@@ -117,20 +117,10 @@ class CameraFiles:
         if self._text_path is not None:
             save_events_text(self.camera, self._events, self._text_path)
         chunks = {"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),), **_EVENT_CODEC}
-        columns = {
-            name: self._file.create_dataset(
-                f"events/{name}",
-                (self.n_events,),
-                EVENT_DTYPE[name],
-                **chunks if self.n_events else {},
-            )
-            for name in ("t", "x", "y", "p")
-        }
-        events = _joined(self._events)
-        for start in range(0, self.n_events, _EVENTS_PER_CHUNK):
-            stop = start + _EVENTS_PER_CHUNK
-            for name, column in columns.items():
-                column[start:stop] = events[start:stop][name]
+        for name in ("t", "x", "y", "p"):
+            blocks = [np.empty(0, EVENT_DTYPE[name]), *(block[name] for block in self._events)]
+            stored = chunks if self.n_events else {}
+            self._file.create_dataset(f"events/{name}", data=np.concatenate(blocks), **stored)
         self._file.close()
 
 
@@ -145,18 +135,6 @@ def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path)
                 sign, seconds, microseconds, events["x"], events["y"], events["p"], strict=True
             )
             file.writelines(f"{m}{s}.{us:06d} {x} {y} {p}\n" for m, s, us, x, y, p in rows)
-
-
-def _joined(blocks: list[NDArray[Any]]) -> NDArray[Any]:
-    """Join events, and empty the list meanwhile, so that memory holds them once."""
-    as_bytes = f"V{EVENT_DTYPE.itemsize}"  # NumPy copies records field by field
-    joined, n = np.empty(sum(map(len, blocks)), as_bytes), 0
-    blocks.reverse()
-    while blocks:
-        block = blocks.pop()
-        joined[n : n + len(block)] = block.view(as_bytes)
-        n += len(block)
-    return joined.view(EVENT_DTYPE)
 
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds

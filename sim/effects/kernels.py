@@ -181,47 +181,27 @@ def follow_changes(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Follow the pixels whose light changes; see `sim.sensor.events.Sensor.feed`."""
     height, width = luminance.shape[1:]
-    loud = np.empty((image.size, 2), np.int64)
-    before = np.empty(image.size, np.float32)
     for k in range(times_s.size):
-        n_loud = _follow_quiet(
-            luminance[k], x0_px[k], y0_px[k], background, time_s, times_s[k], box, image, pixels,
-            rates, dim_hz, loud, before,
-        )  # fmt: skip
-        for j in range(n_loud):
-            y, x = loud[j]
-            i0, i1 = np.float64(before[j]), np.float64(image[y, x])
-            if pixels[y, x].time_s < time_s:
-                events, n = _follow(y, x, time_s, i0, i0, pixels, rates, dim_hz, events, n)
-            events, n = _follow(y, x, times_s[k], i0, i1, pixels, rates, dim_hz, events, n)
-        x0, y0 = x0_px[k], y0_px[k]
-        box[0], box[1], box[2], box[3] = x0, y0, x0 + width, y0 + height
-        time_s = times_s[k]
+        t0, t1, x0, y0 = time_s, times_s[k], x0_px[k], y0_px[k]
+        x1, y1 = x0 + width, y0 + height
+        for y in range(min(y0, box[1]), max(y1, box[3])):
+            for x in range(min(x0, box[0]), max(x1, box[2])):
+                in_crop = y0 <= y < y1 and x0 <= x < x1
+                value = luminance[k, y - y0, x - x0] if in_crop else background[y, x]
+                old, state = image[y, x], pixels[y, x]
+                if value == old:
+                    continue
+                image[y, x] = value
+                i0, i1 = np.float64(old), np.float64(value)
+                is_quiet = state.time_s >= t0 or _stays_quiet(state, t0, i0, i0, rates, dim_hz)
+                if is_quiet and _stays_quiet(state, t1, i0, i1, rates, dim_hz):
+                    continue
+                if state.time_s < t0:
+                    events, n = _follow(y, x, t0, i0, i0, pixels, rates, dim_hz, events, n)
+                events, n = _follow(y, x, t1, i0, i1, pixels, rates, dim_hz, events, n)
+        box[0], box[1], box[2], box[3] = x0, y0, x1, y1
+        time_s = t1
     return events, n
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _follow_quiet(  # type: ignore[no-untyped-def]
-    crop, cx0, cy0, background, t0, t1, box, image, pixels, rates, dim_hz, loud, before
-):
-    """Take the image of the next instant, and follow the pixels that change without an event."""
-    cx1, cy1 = cx0 + crop.shape[1], cy0 + crop.shape[0]
-    n_loud = 0
-    for y in range(min(cy0, box[1]), max(cy1, box[3])):
-        for x in range(min(cx0, box[0]), max(cx1, box[2])):
-            in_crop = cy0 <= y < cy1 and cx0 <= x < cx1
-            value = crop[y - cy0, x - cx0] if in_crop else background[y, x]
-            old = image[y, x]
-            if value == old:
-                continue
-            image[y, x] = value
-            i0, i1, state = np.float64(old), np.float64(value), pixels[y, x]
-            is_quiet = state.time_s >= t0 or _stays_quiet(state, t0, i0, i0, rates, dim_hz)
-            if is_quiet and _stays_quiet(state, t1, i0, i1, rates, dim_hz):
-                continue
-            loud[n_loud, 0], loud[n_loud, 1], before[n_loud] = y, x, old
-            n_loud += 1
-    return n_loud
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

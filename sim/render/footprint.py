@@ -17,6 +17,9 @@ from sim.scene.trajectory import PosesAt, Trajectory
 # An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
 _PIECE_OF_SIZE = 1 / 4
 _CHUNK = 256  # instants projected at a time, to bound memory
+# Beyond this, products of the native renderer's edge functions do not fit 64 bits: they are three
+# times the square of a corner's place, in 1/256 of a sample, of which 32 lie along a pixel at most.
+_FAR_PX = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -84,9 +87,10 @@ def _parts_in_world(drone: Drone, times_s: FloatArray, T_W_B: FloatArray) -> Flo
 
 
 def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> None:
-    """Refuse instants at which only some of the outline has an image, and it lies in view."""
+    """Refuse instants in view at which some of the outline has no image, or one too far away."""
     imaged = np.isfinite(pixels[..., 0])
     cut = imaged.any(axis=1) & ~imaged.all(axis=1)
+    cut |= (np.abs(pixels) > _FAR_PX).any(axis=(1, 2))
     if not cut.any():
         return
     low = np.nanmin(pixels[cut], axis=1)
@@ -160,6 +164,11 @@ class Views(NamedTuple):
     def chosen(self, which: slice | IntArray) -> "Views":
         """Return some of the instants."""
         return Views(**{name: values[which] for name, values in self._asdict().items()})
+
+    def of_whole_images(self, camera: Camera) -> "Views":
+        """Return them with the whole image as the crop of each."""
+        boxes = np.tile([0, 0, camera.width, camera.height], (len(self.boxes), 1))
+        return self._replace(boxes=boxes)
 
     def crop_size(self) -> tuple[int, int]:
         """Width and height [px] of the smallest crop that is large enough for every box."""

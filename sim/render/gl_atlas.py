@@ -22,8 +22,6 @@ from sim.scene.rig import Camera
 SHADERS = Path(__file__).parent / "shaders"
 MAX_INSTANCES = 1024  # of one draw call
 ATLAS_SIZE = 1024  # samples each way: small enough for the processor's cache
-BACKGROUND = np.zeros(4, np.uint32)
-"""The sample word that OpenGL clears to."""
 
 
 class GLPainter:
@@ -81,8 +79,7 @@ class GLPainter:
         width, height = corners.max(axis=0) + tile
         self._bind_framebuffer(int(width), int(height))
         self._program._bind()
-        about = (camera, self._config, (width, height), tile, depth_range_m)
-        set_uniforms(self._program._program_id, *about)
+        self._set_uniforms(camera, (width, height), tile, depth_range_m)
         self._draw(self._mesh(camera), matrices)
         return average_tiles(self._words, lattice, corners, corner_px, size_px, background)
 
@@ -92,7 +89,7 @@ class GLPainter:
         for plane in range(4):  # where an outline leaves its crop, the tile cuts it off
             GL.glEnable(GL.GL_CLIP_DISTANCE0 + plane)
         GL.glViewport(0, 0, width, height)
-        GL.glClearBufferuiv(GL.GL_COLOR, 0, BACKGROUND)
+        GL.glClearBufferuiv(GL.GL_COLOR, 0, np.zeros(4, np.uint32))  # words of the background
         GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
         for primitive, columns in zip(primitives, matrices.transpose(1, 0, 3, 2), strict=True):
             # pyrender's buffers, in the order in which it makes them: vertices, instances, indices.
@@ -104,10 +101,31 @@ class GLPainter:
             )
         GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
 
+    def _set_uniforms(
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        tile: tuple[int, int],
+        depth_range_m: tuple[float, float],
+    ) -> None:
+        """Set all that `mesh.vert` needs; the sizes of atlas and tile in samples."""
+        GL, lattice, K = self._GL, self._config.lattice, camera.K
+        locate = partial(GL.glGetUniformLocation, self._program._program_id)
+        GL.glUniform4f(locate("intrinsics"), K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        GL.glUniform4f(locate("distortion"), *(camera.distortion_coeffs or (0.0,) * 4))
+        GL.glUniform1i(locate("distortion_model"), DISTORTION_MODELS[camera.distortion_model])
+        GL.glUniformMatrix2fv(locate("lattice"), 1, GL.GL_TRUE, lattice.A.astype(np.float32))
+        GL.glUniform2f(locate("pixel_centre"), *lattice.centre)
+        GL.glUniform3f(locate("light"), *self._config.light_in(camera))
+        GL.glUniform1f(locate("ambient"), self._config.ambient)
+        GL.glUniform2f(locate("viewport"), *size)
+        GL.glUniform2f(locate("tile_size"), *tile)
+        GL.glUniform2f(locate("depth_range"), *depth_range_m)
+
     def _mesh(self, camera: Camera) -> list[Any]:
         piece_m = piece_size_m(self._drone, camera)
         if piece_m not in self._meshes:
-            primitives = [make_primitive(p, piece_m, MAX_INSTANCES) for p in self._drone.parts]
+            primitives = [_primitive(part, piece_m) for part in self._drone.parts]
             for primitive in primitives:
                 primitive._add_to_context()
             self._meshes[piece_m] = primitives
@@ -129,59 +147,23 @@ class GLPainter:
                 f"the drone's image needs {width} x {height} samples, this GL driver draws at most "
                 f"{limit} each way: use a coarser lattice or a smaller image"
             )
-        attach_renderbuffers(self._buffers, (width, height))
+        kinds = (GL.GL_R32UI, GL.GL_DEPTH_COMPONENT24)
+        attachments = (GL.GL_COLOR_ATTACHMENT0, GL.GL_DEPTH_ATTACHMENT)
+        for buffer, kind, attachment in zip(self._buffers, kinds, attachments, strict=True):
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, width, height)
+            about = (GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
+            GL.glFramebufferRenderbuffer(*about)
+        if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
+            raise SimError(
+                "this GL driver cannot draw into a buffer of 32-bit integers: use Mesa's software "
+                "driver (libosmesa6, or libegl1 with libgl1-mesa-dri)"
+            )
         self._words = np.empty((height, width), np.uint32)
 
 
-def attach_renderbuffers(buffers: Any, size: tuple[int, int]) -> None:
-    """Give the bound framebuffer 32-bit sample words and a 24-bit depth buffer of this size."""
-    from OpenGL import GL
-
-    kinds = (GL.GL_R32UI, GL.GL_DEPTH_COMPONENT24)
-    attachments = (GL.GL_COLOR_ATTACHMENT0, GL.GL_DEPTH_ATTACHMENT)
-    for buffer, kind, attachment in zip(buffers, kinds, attachments, strict=True):
-        GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
-        GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
-        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
-    if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
-        raise SimError(
-            "this GL driver cannot draw into a buffer of 32-bit integers: use Mesa's software "
-            "driver (libosmesa6, or libegl1 with libgl1-mesa-dri)"
-        )
-
-
-def set_uniforms(
-    program_id: int,
-    camera: Camera,
-    config: RenderConfig,
-    size: tuple[int, int],
-    tile: tuple[int, int],
-    depth_range_m: tuple[float, float],
-) -> None:
-    """Set all that `mesh.vert` needs in the program in use; viewport and tile in samples."""
-    from OpenGL import GL
-
-    locate = partial(GL.glGetUniformLocation, program_id)
-    K, coeffs = camera.K, camera.distortion_coeffs or (0.0, 0.0, 0.0, 0.0)
-    lattice = config.lattice
-    GL.glUniformMatrix4fv(locate("M"), 1, GL.GL_TRUE, np.eye(4, dtype=np.float32))
-    GL.glUniform4f(locate("intrinsics"), K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-    GL.glUniform4f(locate("distortion"), *coeffs)
-    GL.glUniform1i(locate("distortion_model"), DISTORTION_MODELS[camera.distortion_model])
-    GL.glUniformMatrix2fv(locate("lattice"), 1, GL.GL_TRUE, lattice.A.astype(np.float32))
-    GL.glUniform2f(locate("pixel_centre"), *lattice.centre)
-    GL.glUniform3f(locate("light"), *config.light_in(camera))
-    GL.glUniform1f(locate("ambient"), config.ambient)
-    GL.glUniform2f(locate("viewport"), *size)
-    GL.glUniform2f(locate("tile_size"), *tile)
-    GL.glUniform2f(locate("depth_range"), *depth_range_m)
-
-
-def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -> Any:
-    """Turn a part into a pyrender.Primitive with one normal and albedo per face.
-
-    No edge is longer than `piece_m`; there is room for `n_instances`, or pyrender's single one.
-    """
+def _primitive(part: Part, piece_m: float | None) -> Any:
+    """Turn a part into a pyrender.Primitive with one normal and albedo per face."""
     from pyrender.primitive import Primitive
 
     faces = part_faces(part, piece_m)
@@ -191,13 +173,10 @@ def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -
         [faces.corners_m[:, ::-1], np.repeat(per_face[:, None], 3, axis=1)], axis=2
     ).reshape(-1, 7)
     unique, indices = np.unique(rows, axis=0, return_inverse=True)
-    colours = np.zeros((len(unique), 4), np.float32)
-    colours[:, 0] = unique[:, 6]
-    colours[:, 3] = 1.0
     return Primitive(
         unique[:, :3],
         normals=unique[:, 3:6],
-        color_0=colours,
+        color_0=unique[:, [6, 6, 6, 6]],  # of which the shader reads the first
         indices=indices.reshape(-1, 3),
-        poses=None if n_instances is None else np.tile(np.eye(4), (n_instances, 1, 1)),
+        poses=np.tile(np.eye(4), (MAX_INSTANCES, 1, 1)),
     )

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError, check_numbers
 
-_NOTHING = (2**31, 2**31, 0, 0)  # a box x0, y0, x1, y1 that any other one replaces
-
 
 @dataclass(frozen=True)
 class FrameConfig:
@@ -65,12 +63,8 @@ class FrameExposer:
         self._n_frames = n_frames
         self._images = images
         self._background = background
-        levels = np.rint(np.clip(background, 0.0, 1.0) * np.float32(255.0))
-        self._still: NDArray[np.uint8] = levels.astype(np.uint8)
-        self._image = self._still.copy()  # of the frame that closed last
+        self._image = np.empty(background.shape, np.uint8)  # of the frame that closed last
         self._sum = np.zeros(background.shape, np.float32)  # difference from the background
-        # x0, y0, x1, y1 of what differs from the background: of that frame, and of the open one
-        self._shown, self._exposed = np.zeros(4, np.int64), np.array(_NOTHING)
         self._last: tuple[float, int, int, Float32Array] | None = None
         self._open = 0  # index of the frame that is being exposed
 
@@ -89,7 +83,7 @@ class FrameExposer:
             k, is_closed = _expose(
                 k, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop,
                 self._background, self._start_s + self._open * (1.0 / self.config.rate_hz),
-                self.config.exposure_s, self._sum, self._exposed,
+                self.config.exposure_s, self._sum,
             )  # fmt: skip
             if not is_closed:
                 break
@@ -102,8 +96,7 @@ class FrameExposer:
             self._close()
 
     def _close(self) -> None:
-        boxes = (self._shown, self._exposed)
-        _develop(self._sum, self._background, self._still, self._image, *boxes)
+        _develop(self._sum, self._background, self._image)
         self._images[self._open] = self._image
         self._open += 1
 
@@ -122,7 +115,7 @@ def frame_times_us(config: FrameConfig, duration_s: float, start_s: float = 0.0)
 @njit(cache=True, nogil=True)
 def _expose(  # type: ignore[no-untyped-def]
     first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
-    start_s, exposure_s, total, box,
+    start_s, exposure_s, total,
 ):  # fmt: skip
     """Add the light of the open exposure, from the interval before instant `first` on."""
     end_s = start_s + exposure_s
@@ -137,37 +130,28 @@ def _expose(  # type: ignore[no-untyped-def]
             middle = (0.5 * (a + b) - t0) / (t1 - t0)
             weight = (b - a) / exposure_s
             before, after = weight * (1.0 - middle), weight * middle
-            _add(total, last_crop, last_x0, last_y0, background, before, box)
-            _add(total, luminance[k], x0_px[k], y0_px[k], background, after, box)
+            _add(total, last_crop, last_x0, last_y0, background, before)
+            _add(total, luminance[k], x0_px[k], y0_px[k], background, after)
         if t1 >= end_s:
             return k, True
     return times_s.size, False
 
 
 @njit(cache=True, nogil=True)
-def _add(total, crop, x0, y0, background, weight, box):  # type: ignore[no-untyped-def]
+def _add(total, crop, x0, y0, background, weight):  # type: ignore[no-untyped-def]
     height, width = crop.shape
     w = np.float32(weight)
     for j in range(height):
         into, behind = total[y0 + j, x0 : x0 + width], background[y0 + j, x0 : x0 + width]
         for i in range(width):
             into[i] += w * (crop[j, i] - behind[i])
-    box[0], box[1] = min(box[0], x0), min(box[1], y0)
-    box[2], box[3] = max(box[2], x0 + width), max(box[3], y0 + height)
 
 
 @njit(cache=True, nogil=True)
-def _develop(total, background, still, image, shown, exposed):  # type: ignore[no-untyped-def]
-    """Write the image of all the light of an exposure over that of the one before; start anew."""
-    for y in range(shown[1], shown[3]):
-        for x in range(shown[0], shown[2]):
-            image[y, x] = still[y, x]
-    for y in range(exposed[1], exposed[3]):
-        for x in range(exposed[0], exposed[2]):
-            if total[y, x] == 0.0:
-                continue
+def _develop(total, background, image):  # type: ignore[no-untyped-def]
+    """Write the image of all the light of an exposure, and start anew."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
             light = min(max(background[y, x] + total[y, x], np.float32(0.0)), np.float32(1.0))
             image[y, x] = np.uint8(np.rint(light * np.float32(255.0)))
             total[y, x] = 0.0
-    shown[:] = exposed
-    exposed[0], exposed[1], exposed[2], exposed[3] = _NOTHING

@@ -118,10 +118,9 @@ def _follow_light(  # type: ignore[no-untyped-def]
         cx1, cy1 = cx0 + width, cy0 + height
         for y in range(min(cy0, box[1]), max(cy1, box[3])):
             in_crop = cy0 <= y < cy1
-            in_box = box[1] <= y < box[3]
             # What lies between box and crop, if anything does, is and stays background.
             x0, x1 = image_width, np.int64(0)
-            if in_box:
+            if box[1] <= y < box[3]:
                 x0, x1 = box[0], box[2]
             if in_crop:
                 x0, x1 = min(x0, cx0), max(x1, cx1)
@@ -129,18 +128,12 @@ def _follow_light(  # type: ignore[no-untyped-def]
                 continue
             start = np.uint64(y * image_width + x0)
             size = np.uint64(x1 - x0)
+            for i in range(np.uint64(0), size):
+                row[i] = background[start + i]
             if in_crop:
-                source = np.uint64((k * height + y - cy0) * width)
-                left, right = np.uint64(cx0 - x0), np.uint64(cx1 - x0)
-                for i in range(np.uint64(0), left):
-                    row[i] = background[start + i]
-                for i in range(left, right):
-                    row[i] = luminance[source + (i - left)]
-                for i in range(right, size):
-                    row[i] = background[start + i]
-            else:
-                for i in range(np.uint64(0), size):
-                    row[i] = background[start + i]
+                source, left = np.uint64((k * height + y - cy0) * width), np.uint64(cx0 - x0)
+                for i in range(np.uint64(0), np.uint64(width)):
+                    row[left + i] = luminance[source + i]
             n_found = np.uint64(0)
             for i in range(np.uint64(0), size):
                 at = start + i

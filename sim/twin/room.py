@@ -67,8 +67,7 @@ def room_events(
     if config.wire_m:
         rng = generator(seed, _WIRE_STREAM, index)
         streams.append(_wire(config, view, camera, hanging, sensor, rng))
-    nothing = view.events(*(np.empty(0),) * 3, np.empty(0, bool))
-    return merged(nothing, *streams)
+    return merged(*streams)
 
 
 def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:

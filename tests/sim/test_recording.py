@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,14 +12,13 @@ import sim.render.native
 from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, Recording, drift_of
-from sim.recording import SimConfig, simulate, stream
+from sim.recording import simulate, stream
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_to_csv
 from sim.seeds import generator, sequence
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from sim.storage import record
 from tests.sim.scenes import QUICK, counts
 
 pytestmark = pytest.mark.render
@@ -247,18 +245,6 @@ def test_a_drifting_clock_changes_the_stamps_of_camera_2_and_nothing_else() -> N
     moved = drifting.cameras[1].events.copy()
     moved["t"] += 12_346
     np.testing.assert_array_equal(shifted.cameras[1].events, moved)
-
-
-@pytest.mark.parametrize(
-    ("config", "skew_ppm", "jump"),
-    [(QUICK, 0.0, None), (DRIFTING, -20_000.0, {"at_s": 0.7, "size_s": 0.005})],
-)
-def test_the_truth_tells_how_the_clock_strays(
-    tmp_path: Path, config: SimConfig, skew_ppm: float, jump: dict[str, float] | None
-) -> None:
-    record(config, 0, tmp_path / "out", {})
-    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
-    assert (truth["skew_ppm"], truth["t_ref_s"], truth["clock_jump"]) == (skew_ppm, 0.5, jump)
 
 
 def test_a_stream_is_the_branch_that_numpy_spawns() -> None:

@@ -1,13 +1,12 @@
 #version 330 core
 // One instance of the object, projected by the camera model itself and put into its tile of the atlas.
-// Attribute locations, `M` and the file's name are pyrender's, so that it can draw with this too.
+// Attribute locations are those of pyrender's meshes.
 
 layout(location = 0) in vec3 position;     // [m], frame of the part
 layout(location = 1) in vec3 normal;
 layout(location = 2) in vec4 color_0;      // r = albedo
 layout(location = 3) in mat4 inst_m;       // part -> camera; its last row holds the tile's shift
 
-uniform mat4 M;                            // identity, or the pose when pyrender draws one full frame
 uniform vec4 intrinsics;                   // fu, fv, pu, pv [px]
 uniform vec4 distortion;                   // k1, k2, p1, p2 or k1..k4
 uniform int distortion_model;              // 0 none, 1 radtan, 2 equidistant
@@ -45,8 +44,8 @@ vec2 distort(vec2 p)
 
 void main()
 {
-    mat4 T_C_P = M * mat4(vec4(inst_m[0].xyz, 0), vec4(inst_m[1].xyz, 0),
-                          vec4(inst_m[2].xyz, 0), vec4(inst_m[3].xyz, 1));
+    mat4 T_C_P = mat4(vec4(inst_m[0].xyz, 0), vec4(inst_m[1].xyz, 0),
+                      vec4(inst_m[2].xyz, 0), vec4(inst_m[3].xyz, 1));
     vec2 tile_shift = vec2(inst_m[0].w, inst_m[1].w);
     vec2 tile_corner = vec2(inst_m[2].w, inst_m[3].w);
     vec3 p = vec3(T_C_P * vec4(position, 1.0));

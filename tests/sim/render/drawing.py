@@ -1,4 +1,4 @@
-"""A drone, drawn by the renderer that a test asks for, and by pyrender a whole frame at a time."""
+"""A drone, drawn by the renderer that a test asks for, and by OpenGL a whole frame at a time."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from sim.render.config import RenderConfig
-from sim.render.footprint import footprint
-from sim.render.gl_reference import PyrenderFullFrame
+from sim.render.footprint import footprint, plan_views
+from sim.render.gl_atlas import GLPainter
 from sim.render.renderer import Renderer
 from sim.scene.flyers import quadrotor
 from tests.sim.scenes import Image, box_drone, whole_images
@@ -40,11 +40,11 @@ def rendered(*scene: Any) -> Image:
 
 
 def full_frames(*scene: Any) -> Image:
-    """Draw the same by pyrender, a whole frame at a time."""
+    """Draw the same by OpenGL, a whole frame at a time."""
     drone, camera, times_s, T_W_B, background, config = scene
-    reference = PyrenderFullFrame(drone, camera, config)
-    visible = footprint(drone, camera, times_s, T_W_B).visible
-    shown = zip(times_s, T_W_B, visible, strict=True)
-    return np.stack(
-        [reference.render(float(t), T, background) if seen else background for t, T, seen in shown]
-    )
+    painter, every = GLPainter(drone, config), np.arange(len(times_s))
+    seen = footprint(drone, camera, times_s, T_W_B)
+    whole = plan_views(drone, camera, seen, every, times_s, T_W_B).of_whole_images(camera)
+    each = (whole.chosen(slice(k, k + 1)) for k in every)
+    zero = np.zeros((1, 2), np.int64)
+    return np.concatenate([painter.paint(camera, view, zero, background) for view in each])

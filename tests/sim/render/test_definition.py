@@ -13,20 +13,18 @@ from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.gl_context import BACKENDS, open_context
-from sim.render.gl_reference import PyrenderFullFrame
+from sim.render.gl_reference import StockPyrender
 from sim.render.lattice import Lattice
 from sim.scene.drone import Drone
 from tests.sim.render.drawing import BOX, BRIGHT, HALF_VGA, QUADROTOR, full_frames, rendered
 from tests.sim.scenes import LENSES, Image, grey, make_camera, noise_image, painted, poses, tumbling
-
-# --- The same pixels as pyrender ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("lattice", [Lattice(4, 0), Lattice(6, 1), Lattice(9, 1)], ids=repr)
 @pytest.mark.parametrize("drone", [BOX, painted(QUADROTOR, 0.2)], ids=["box", "quadrotor"])
 @pytest.mark.render
-def test_same_pixels_as_pyrenders_full_frame(drone: Drone, lattice: Lattice, lens: str) -> None:
+def test_same_pixels_as_in_a_full_frame(drone: Drone, lattice: Lattice, lens: str) -> None:
     camera = make_camera(lens, HALF_VGA)
     times_s = np.linspace(0.0, 1.0, 12)
     T_W_B = tumbling(12, 3, (0.0, -1.0, 0.0), (1.5, 2.0, 1.0))
@@ -60,34 +58,25 @@ def test_same_pixels_where_the_image_ends(lattice: Lattice, lens: str) -> None:
     assert differences.sum() <= 1
 
 
-@pytest.mark.parametrize("a", [1, 4, 8])
+@pytest.mark.parametrize("a", [1, 8])
 @pytest.mark.render
 def test_silhouette_of_pyrenders_own_shaders(a: int) -> None:
     """No line of the stock renderer's projection or scene is ours."""
     camera = make_camera()
     drone = painted(QUADROTOR, 1.0)
     config = RenderConfig(Lattice(a, 0), ambient=1.0)
-    reference = PyrenderFullFrame(drone, camera, config)
     T_W_B = tumbling(6, 5, (0.0, 0.0, 0.0), (3.0, 2.0, 2.0))
     times_s = np.linspace(0.0, 1.0, 6)
     nothing = grey(camera, 0.0)
     ours = rendered(drone, camera, times_s, T_W_B, nothing, config)
-    stock = np.stack([reference.stock(t, T) for t, T in zip(times_s, T_W_B, strict=True)])
+    reference = StockPyrender(drone, camera, a)
+    stock = np.stack([reference.covered(t, T) for t, T in zip(times_s, T_W_B, strict=True)])
     coverage = stock.reshape(6, camera.height, a, camera.width, a).mean(axis=(2, 4))
     assert coverage.sum() > 300  # px
     differing_samples = np.rint(np.abs(ours - coverage) * a**2).sum()
     # Projections in another order of operations: float32 rounds the odd edge to the other side.
     assert differing_samples <= 2 + 1e-4 * stock.sum()
 
-
-@pytest.mark.render
-def test_the_stock_renderer_knows_neither_lenses_nor_turned_lattices() -> None:
-    reference = PyrenderFullFrame(BOX, make_camera("radtan"), RenderConfig(Lattice(4, 0)))
-    with pytest.raises(SimError, match="undistorted images on a regular grid only"):
-        reference.stock(0.0, np.eye(4))
-
-
-# --- Backends ---------------------------------------------------------------------------------
 
 OTHER_BACKEND = """
 import sys

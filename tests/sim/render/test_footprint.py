@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from sim.errors import SimError
 from sim.render.config import SamplingConfig
 from sim.render.footprint import choose_instants, footprint
 from sim.scene.drone import Drone
 from sim.scene.flyers import bird, quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
-from tests.sim.scenes import LENSES
+from tests.sim.scenes import LENSES, box_drone, poses
 
 DRONE = quadrotor()
 RIGS = {
@@ -52,6 +53,14 @@ def test_more_instants_than_are_projected_at_a_time() -> None:
     part = footprint(DRONE, camera, times_s[4000:4200], T_W_B[4000:4200])  # over 4096
     np.testing.assert_allclose(whole.moved_px[4001:4200], part.moved_px[1:], rtol=1e-9)
     np.testing.assert_array_equal(whole.low_px[4000:4200], part.low_px)
+
+
+def test_a_drone_that_reaches_beyond_the_renderers_numbers_is_refused() -> None:
+    """In view and 100,000 px beside it; 4 m wide, 0.1 m before a lens of 5000 px."""
+    camera = two_view_rig(90.0, focal_px=5000.0).cameras[0]
+    T_W_B = poses(np.array([[0.0, -4.9, 0.0]]))
+    with pytest.raises(SimError, match="reaches into the camera"):
+        footprint(box_drone((4.0, 0.05, 0.05)), camera, np.zeros(1), T_W_B)
 
 
 def flight(seed: int, duration_s: float = 4.0) -> Trajectory:

@@ -9,12 +9,11 @@ import sim.render.renderer
 import sim.scene.drone
 from sim.errors import SimError
 from sim.render.config import RenderConfig
-from sim.render.footprint import Views
 from sim.render.gl_atlas import GLPainter
 from sim.render.lattice import Lattice
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
-from sim.scene.drone import Drone, Part
+from sim.scene.drone import Drone
 from sim.scene.flyers import quadrotor
 from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
@@ -30,9 +29,6 @@ from tests.sim.scenes import (
 )
 
 NO_GL = RenderConfig(check=False)
-
-
-# --- The definition ----------------------------------------------------------------------------
 
 
 @pytest.mark.render
@@ -108,39 +104,6 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(GLPainter, "__init__", refuse)
     camera = make_camera()
     assert drawn(BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera), NO_GL).min() < 0.6
-
-
-# --- Laws --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("lattice", [Lattice(8, 0), Lattice(8, 1)], ids=repr)
-def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
-    """Faces 10^7 px wide, with corners behind the camera too: nothing overflows, nothing leaks."""
-    camera = make_camera(resolution=HALF_VGA)
-    config = RenderConfig(lattice, ambient=1.0, check=False)
-    # A drone that fills the whole image, in the world's own frame.
-    box, every = np.array([[0, 0, camera.width, camera.height]]), np.zeros((1, 2))
-    T_C_W = camera.T_C_W.astype(np.float32)[None]
-    views = Views(np.zeros(1), np.ones(1, bool), every, box, T_C_W[:, None])
-    for reach_m in (10.0, 1e3, 1e5):
-        # Slanted, so that it passes the camera's plane: seen at the left, behind at the right.
-        near, far = -4.5 - reach_m, -4.5 + reach_m
-        corners = np.array(
-            [[-reach_m, far, -reach_m], [reach_m, near, -reach_m],
-             [reach_m, near, reach_m], [-reach_m, far, reach_m]]
-        )  # fmt: skip
-        part = Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.full(2, 0.3))
-        painter = NativePainter(Drone((part,), "wall", 1.0), config)
-        (image,) = painter.paint(camera, views, np.zeros((1, 2), np.int64), grey(camera, 0.0))
-        # Where a ray meets the plane before the camera: x + y = -4.5 in the world, by geometry.
-        x, y = np.meshgrid(np.arange(HALF_VGA[0]), np.arange(HALF_VGA[1]))
-        slope_x = (x - camera.K[0, 2]) / camera.K[0, 0]
-        slope_z = -(y - camera.K[1, 2]) / camera.K[1, 1]
-        depth = 0.5 / (1.0 + slope_x)
-        reached_m = np.abs(depth) * np.maximum(np.abs(slope_x), np.abs(slope_z))
-        hit = (depth > 0) & (reached_m < reach_m)
-        assert hit.mean() > 0.9
-        np.testing.assert_allclose(image[hit], 0.3, atol=2e-5)  # codes are 1/65535 apart
 
 
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
