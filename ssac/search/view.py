@@ -34,10 +34,7 @@ class Seen:
         return float(np.mean(self.valid)) if len(self.valid) else 0.0
 
     def spread(self, n: int, some: slice = slice(None), more: Mask | bool = True) -> Array:
-        """Spread n times [s] evenly over those steps, of some, at which it is seen, and more holds.
-
-        Empty where there is none.
-        """
+        """Spread n times [s] evenly over those steps, of some, where it is seen, and more holds."""
         steps = np.flatnonzero(self.valid[some] & more)
         if len(steps) == 0:
             return np.empty(0)
@@ -59,8 +56,7 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
 def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
     """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
 
-    None where they do so in `even_share` of the time that both record, or more, or never. Both were
-    looked at in the same steps; camera 2's clock shows `t_d_s` more.
+    None where they do so in `even_share` of the time that both record, or more, or never.
     """
     shift = round((one.start_s + t_d_s - other.start_s) / one.step_s)  # other = one + shift
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
@@ -205,10 +201,7 @@ def size_px(motion: Motion, times_s: Array) -> float:
 
 
 def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
-    """How often a path goes to and fro [1/s]: its rms speed over pi times its rms extent.
-
-    Rice's formula for the mean crossings of a random motion.
-    """
+    """How often a path goes to and fro [1/s], by Rice's formula for a random motion's crossings."""
     squares = np.sum(velocities_px_s**2, axis=1)
     squares = squares[np.isfinite(squares)]
     speed_px_s = np.sqrt(np.mean(squares)) if len(squares) else 0.0
@@ -217,11 +210,7 @@ def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
 
 
 def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRules) -> Array:
-    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself.
-
-    What fits at one offset then fits a lag further as well, in a valley that may be too narrow for
-    the search's first steps.
-    """
+    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself."""
     start_s, end_s = motion.span_s
     n_samples = 60  # at which each lag is tried
     step_s = max(0.002, (end_s - start_s) / 120_000)  # longer of a path of more than 4 minutes
@@ -240,10 +229,16 @@ def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRu
     means_px = np.sum(distances_px, axis=0) / np.maximum(counts, 1)
     means_px = np.where(counts >= n_samples // 2, means_px, np.inf)
     left = np.cumsum(means_px > 0.5 * view.extent_px) > 0
-    padded = np.pad(means_px, 1, constant_values=np.inf)
-    is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
-    is_back = left & is_least & (means_px < rules.max_return * view.extent_px)
-    return np.asarray(step_s * lags[is_back])
+    is_back = left & (means_px < rules.max_return * view.extent_px)
+    least = np.sort(local_minima(means_px))
+    return np.asarray(step_s * lags[least[is_back[least]]])
+
+
+def local_minima(values: Array) -> Indices:
+    """Places of the local minima of values (n,), the least first; NaN is none."""
+    padded = np.pad(np.where(np.isfinite(values), values, np.inf), 1, constant_values=np.inf)
+    places = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
+    return places[np.argsort(values[places], kind="stable")]
 
 
 @dataclass(frozen=True, eq=False)
