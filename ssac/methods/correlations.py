@@ -1,7 +1,7 @@
 """Offsets by correlation of two signals: event rates, and the brightness of frames."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,14 +81,14 @@ def lags_of(config: Config, bin_s: float) -> IntArray:
 
 def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
     """Choose the lag of highest correlation; status "no_common_signal" when there is none."""
+    found = Estimate(method, candidates_s=lags_s, costs=-curve)
     if not np.isfinite(curve).any():
         reason = (
             "at no lag in the interval do both signals overlap by half and vary: check that both"
             " cameras recorded at a time, and search where they did (--search)"
         )
-        return Estimate(method, Status.NO_COMMON_SIGNAL, reason, candidates_s=lags_s, costs=-curve)
-    best = int(np.nanargmax(curve))
-    return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)
+        return replace(found, status=Status.NO_COMMON_SIGNAL, reason=reason)
+    return replace(found, t_d_s=float(lags_s[np.nanargmax(curve)]))
 
 
 @method("event_rate", "event rates, Censi and Scaramuzza (2014)", place=10, input=Input.RATES)
@@ -153,19 +153,15 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     in both clocks, so that the offset found is a multiple of 20 ms, as the paper states. SsacError
     if a camera has no frames, or not one time for each frame.
     """
-    frame_s, named = config.rules.signals.frame_s, ((one, "camera 1"), (other, "camera 2"))
-    signals = [mean_brightness(seen, name, frame_s) for seen, name in named]
+    frame_s, signals = config.rules.signals.frame_s, []
+    for seen, name in ((one, "camera 1"), (other, "camera 2")):
+        frames, times_s = seen.frames, seen.frame_times_s
+        if frames is None or times_s is None:
+            raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
+        if len(frames) != len(times_s):
+            raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
+        signals.append(binned(times_s, frame_means(frames), frame_s))
     return _most_alike("zncc_f", signals, frame_s, config)
-
-
-def mean_brightness(observation: Observation, name: str, frame_s: float) -> Signal:
-    """Mean of each frame, on a grid of even frames; SsacError when there are no frames."""
-    frames, times_s = observation.frames, observation.frame_times_s
-    if frames is None or times_s is None:
-        raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
-    if len(frames) != len(times_s):
-        raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
-    return binned(times_s, frame_means(frames), frame_s)
 
 
 def frame_means(frames: NDArray[np.generic]) -> Array:

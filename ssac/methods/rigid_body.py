@@ -40,8 +40,7 @@ class _Shape:
 def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
     """Follow one point of the body in both views, about where an offset and a pose put it.
 
-    Of it there are images on each camera's own clock. A sentence says why there are none; it is
-    empty where nothing could be tried, as noise had left the events before.
+    A sentence says why there is none; it is empty where nothing could be tried.
     """
     if views.cleans is None or found.R is None or found.t is None:
         return ""
@@ -132,11 +131,8 @@ def _followed(
 
 
 def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
-    """Give the clock, R and t of an estimate, rounded by less than an image can tell.
-
-    What is seen of a body is found by many comparisons, and would tell rounding errors of what it
-    is found from: the same recording with a delayed clock would differ by more than these.
-    """
+    """Give the clock, R and t of an estimate, rounded by less than an image can tell."""
+    # Comparisons would tell rounding errors: with a delayed clock they would fall out otherwise.
     assert found.R is not None
     assert found.t is not None
     clock = found.clock
