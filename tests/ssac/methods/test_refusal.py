@@ -13,7 +13,6 @@ from tests.ssac.methods.flights import (
     T_D_S,
     at_rest,
     circle,
-    flown,
     found,
     free,
     helix,
@@ -139,14 +138,6 @@ def test_periodic_motion_names_the_other_offsets(method, interval_s):
     offsets_s = np.append(estimate.alternatives_s, estimate.t_d_s)
     assert len(offsets_s) >= 2
     assert np.min(np.abs(offsets_s - T_D_S)) < 0.020  # the coarse step, for ssac's alternatives
-
-
-@pytest.mark.parametrize("method", ["joint", "joint-known"])
-def test_clocks_far_apart_are_no_obstacle_where_no_interval_is_given(method):
-    """Bug: only the command line searched all offsets then."""
-    estimate = flown(free).under(CLEAN).delayed(100.0).estimate(method)
-    assert estimate.status == "ok"
-    assert estimate.t_d_s == pytest.approx(100.0 + T_D_S, abs=5 * estimate.t_d_std_s)
 
 
 def test_too_short_a_flight_tells_no_pose():
