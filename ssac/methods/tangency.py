@@ -41,7 +41,7 @@ def for_blind(views: TwoViews) -> TwoViews:
     The mean of a window's events then has another time than the window's middle, and the course
     about which tangents are found would go to and fro. A rough window would be blind on one side.
     """
-    if not any(len(blind.spans_us) for blind in views.alone.blind):
+    if not any(map(len, views.alone.blind_us)):
         return views
     config = views.rules.tangency
     longest_s = max(config.outline.rough_half_window_s, config.outline.half_window_s)

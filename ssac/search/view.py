@@ -69,30 +69,22 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
     return one.spread(n, slice(first, last), there)
 
 
-@dataclass(frozen=True)
-class Blind:
-    """When a camera was blind."""
-
-    spans_us: IntArray  # (g, 2) [us] in its clock, ascending
-    period_s: float = np.nan  # from one to the next; NaN of none
+NEVER_US = np.empty((0, 2), np.int64)  # spans of a camera that is never blind
 
 
-NEVER = Blind(np.empty((0, 2), np.int64))
-
-
-def blind_spans(times_us: IntArray, rules: BlindRules) -> Blind:
-    """Find the readouts of frames among the sorted times of events.
+def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
+    """Find the readouts of frames (g, 2) [us], ascending, among the sorted times of events.
 
     There are none unless most of the events lie in one rhythm of silences.
     """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
-        return NEVER
+        return NEVER_US
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
     alike = np.abs(lengths_us - length_us) <= rules.same_length * length_us
     if np.mean(alike) < 1.0 - rules.most_lengths:
-        return NEVER
+        return NEVER_US
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])
     period_us = float(np.median(since_us))
@@ -100,15 +92,14 @@ def blind_spans(times_us: IntArray, rules: BlindRules) -> Blind:
     near = (beats >= 1.0) & (beats <= rules.most_periods)
     few = np.count_nonzero(near) < rules.least_silences - 1
     if few or length_us > rules.most_share * period_us:
-        return NEVER
+        return NEVER_US
     period_us = float(np.sum(since_us[near]) / np.sum(beats[near]))
     on_beat = np.abs(since_us - beats * period_us) <= rules.same_rhythm * period_us
     if np.mean(on_beat[near]) < 1.0 - rules.most_others:
-        return NEVER
+        return NEVER_US
     chained = near & on_beat
     spans_us = _filled(spans_us, np.where(chained, beats, 0.0).astype(np.intp))
-    is_cut = _cut(times_us, spans_us, period_us, rules)
-    return Blind(spans_us, 1e-6 * period_us) if is_cut else NEVER
+    return spans_us if _cut(times_us, spans_us, period_us, rules) else NEVER_US
 
 
 def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
@@ -288,10 +279,9 @@ class Alone:
         return seen_of(self.motions[0], step_s), seen_of(self.motions[1], step_s)
 
     @cached_property
-    def blind(self) -> tuple[Blind, Blind]:
-        """When each camera was blind, in its own clock."""
-        times_us = [one.times_us if isinstance(one, ObjectMotion) else None for one in self.motions]
-        one, other = (
-            NEVER if of_one is None else blind_spans(of_one, self.of_blind) for of_one in times_us
-        )
-        return one, other
+    def blind_us(self) -> list[IntArray]:
+        """When each camera was blind: spans (g, 2) [us] in its own clock."""
+        return [
+            blind_spans(one.times_us, self.of_blind) if isinstance(one, ObjectMotion) else NEVER_US
+            for one in self.motions
+        ]

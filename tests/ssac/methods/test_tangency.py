@@ -34,7 +34,7 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset(phases_us):
     streams = box.box_events(scene, 0, 0.4)
     blinded = [without_frames(*one) for one in zip(streams, phases_us, strict=True)]
     views = two_views(*box.observations(*blinded), scene.rig, box.CLEAN)
-    assert all(len(blind.spans_us) > 150 for blind in views.alone.blind)  # of 200
+    assert all(len(spans_us) > 150 for spans_us in views.alone.blind_us)  # of 200
     estimate = by_tangents.refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
     # As of a lopsided box; with tangents found as ever, 2.0 and 0.5 ms.

@@ -18,7 +18,6 @@ from tests.ssac.synthetic import make_events, make_scene
 
 RULES = Rules().verdict
 OBJECT_PX = 10.0
-NEAR_S = 3e-4  # an answer so near is right, whatever its deviation
 
 
 def normal(spread_px):
