@@ -195,22 +195,18 @@ def unusable(
         for number, (clean, view) in enumerate(zip(cleans, views.alone.views, strict=True), start=1)
         if view is None  # else there are windows that hold enough
     ]
-    apart = None if interval_s is None else _no_common_time(cleans, interval_s)
-    return first(at_rest(views.alone.views, views.rules.search), apart, *too_few)
-
-
-def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusal | None:
-    """Refuse recordings without common time at any offset searched."""
+    apart = None
     (start1, end1), (start2, end2) = (one.span_s for one in cleans)
-    if has_common_time(cleans, interval_s) or not np.isfinite([start1, start2]).all():
-        return None
-    low, high = interval_s
-    return Refusal(
-        Status.NO_COMMON_TIME,
-        f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s) have"
-        f" no common time at any offset between {low:g} and {high:g} s: leave out --search, and all"
-        " are tried",
-    )
+    are_known = np.isfinite([start1, start2]).all()
+    if interval_s is not None and are_known and not has_common_time(cleans, interval_s):
+        low, high = interval_s
+        reason = (
+            f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s)"
+            f" have no common time at any offset between {low:g} and {high:g} s: leave out"
+            " --search, and all are tried"
+        )
+        apart = Refusal(Status.NO_COMMON_TIME, reason)
+    return first(at_rest(views.alone.views, views.rules.search), apart, *too_few)
 
 
 def overlapping(cleans: tuple[Clean, Clean]) -> Interval:

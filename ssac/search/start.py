@@ -143,7 +143,11 @@ def start_of(
     found = search_all_offsets(*views.motions, rules, rates or (1.0, 1.0), freedom, progress)
     refusal = _refusal(found, views.alone.repeats, rules)
     if refusal is not None and found.guesses:
-        little = too_little_motion(_most_swings(views), rules.unique_swings)
+        swings = [  # how often the object goes to and fro at the most, however much is common
+            0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
+            for motion, view in zip(views.motions, views.alone.views, strict=True)
+        ]
+        little = too_little_motion(min(swings), rules.unique_swings)
         if little is not None:
             refusal = replace(little, reason=f"{little.reason}; {refusal.reason}")
     return Start(found, refusal, freedom > 0.0 or rates is not None)
@@ -155,14 +159,6 @@ _LITTLE_SEEN = (
     " cameras see different objects, or too little of one flight (record longer; record one flight"
     " with both cameras); or a clock runs at a rate of its own (--rate-range)"
 )
-
-
-def _most_swings(views: TwoViews) -> float:
-    """How often the object goes to and fro at the most, however much of it is common."""
-    return min(
-        0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
-        for motion, view in zip(views.motions, views.alone.views, strict=True)
-    )
 
 
 def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusal | None:
