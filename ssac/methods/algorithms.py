@@ -156,11 +156,7 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
     of_one_object=True,
 )
 def algorithm_1(views: TwoViews) -> Estimate:
-    """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
-
-    The status is "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
-    "ambiguous_offset". SsacError where the rig has no `T_2_1`.
-    """
+    """Time offset with the extrinsics of the rig: the paper's Algorithm 1."""
     R, t = known_pose(views.rig)
     F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
@@ -185,11 +181,7 @@ def algorithm_1(views: TwoViews) -> Estimate:
     of_one_object=True,
 )
 def algorithm_2(views: TwoViews) -> Estimate:
-    """Time offset and relative pose: the paper's Algorithm 2.
-
-    As `algorithm_1`, but the rig's `T_2_1` is not used. The status may also be "too_little_motion";
-    or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
-    """
+    """Time offset and relative pose, without the rig's extrinsics: the paper's Algorithm 2."""
     config, rules, (view1, view2) = views.config, views.rules.search, views.alone.views
     if view1 is not None and view2 is not None and views.alone.are_straight:
         return straight_path(views, (view1, view2))

@@ -38,9 +38,7 @@ from ssac.track.motion import SharpTrack
 def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     """Refine offset and pose together, or the offset alone where the pose is known.
 
-    The start is what Algorithm 2, or Algorithm 1 with a known pose, found of the same views. The
-    result has `t_d_std_s` and `covariance`; its status may be that of the start, or
-    "no_convergence", "clock_jump", "poor_fit".
+    The start is what Algorithm 2, or Algorithm 1 with a known pose, found of the same views.
     """
     name = "joint-known" if views.pose_is_known else "joint"
     start = with_coarse_skew(start, views)

@@ -54,10 +54,8 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
         try:
             shaped = shaped_track_of(clean, views.config)
         except SsacError:  # of a window that shows no object
-            shaped = None
-        if shaped is None:
             return ""
-        shape = _shape_of(shaped, views, k)
+        shape = "" if shaped is None else _shape_of(shaped, views, k)
         if isinstance(shape, str):
             return shape
         shapes.append(shape)
@@ -87,12 +85,9 @@ def _followed(
 
     def points(times_s: Array) -> Array:
         """Where the object is (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
-        places = [
-            np.round(shape.centres.at(own_s).positions_px, 4)
-            for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
-        ]
         rays1, rays2 = (
-            rays_of(shape.K, place) for shape, place in zip(shapes, places, strict=True)
+            rays_of(shape.K, np.round(shape.centres.at(own_s).positions_px, 4))
+            for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
         )
         depths1, depths2 = depths(R, t, rays1, rays2)
         middle = 0.5 * (rays1 * depths1[:, None] + (rays2 * depths2[:, None] - t) @ R)

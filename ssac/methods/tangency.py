@@ -147,11 +147,8 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     for the tangents: where `joint` refuses, they are tried from the search that it started from.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
-    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one.
-
-    The start is what `joint_from` found of the same views. The result has `t_d_std_s` and
-    `covariance`; its `n_samples` and `d_avg_px` are of the pairs of tangents. Its status may be
-    that of the start, or "no_convergence", "clock_jump", "poor_fit".
+    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one. The
+    start is of `joint_from`; `n_samples` and `d_avg_px` are of the pairs of tangents.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search, rules = start.start, views.rules.verdict
@@ -183,8 +180,7 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
     """Join tangents with the pairs of one point of a rigid body, where both views show one.
 
-    What was found by tangents stays where there is no body, and where the body contradicts it: then
-    `without_body` says why, and deviations become as wide as the contradiction.
+    Where the body contradicts what was found, deviations become as wide as the contradiction.
     """
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
@@ -209,11 +205,7 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
-    """Find tangents and refine offset and pose by turns, from an offset and a pose.
-
-    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
-    is a `t_d_std_s` but no `covariance`.
-    """
+    """Find tangents and refine offset and pose by turns, of a start that is "ok", as `refine`."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     return _OfTangents(start, for_blind(views)).estimate(start.R, start.t)

@@ -178,11 +178,7 @@ class TwoViews:
         return min(swings_1, duration_s * swing_hz(pairs.p2_px, velocities_2))
 
     def lasting_share(self, t_d_s: float, n_samples: int | None = None) -> float:
-        """Share, up to 1, of an object's bias that stays all along.
-
-        Attitudes change as the object turns back: all of the bias stays in motion too little for an
-        unknown pose, and a tenth or so in an ordinary flight.
-        """
+        """Share, up to 1, of an object's bias that stays: attitudes change where it turns back."""
         n_swings = self.swings(self.pairs_at(t_d_s, n_samples))
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
 
@@ -233,9 +229,8 @@ class Shutters:
         """
         found = []
         for k in self.cameras:
-            motion = views.motions[k]
             camera = (views.rig.cam1, views.rig.cam2)[k]
-            track = motion.sharp_at(times_s[k])
+            track = views.motions[k].sharp_at(times_s[k])
             rows = distort_points(camera, track.positions_px)[:, 1] / max(camera.height - 1, 1)
             moved = -rows[:, None] * track.velocities_px_s
             nothing = np.zeros_like(moved)

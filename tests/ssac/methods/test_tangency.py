@@ -142,24 +142,6 @@ def found_tangents(scene, streams, rig):
     return times_s, pair, views
 
 
-def test_a_plane_has_the_same_angle_in_both_views():
-    rng = np.random.default_rng(0)
-    scene = synthetic.make_scene(0, angle_deg=60.0)
-    points = rng.uniform(-1.0, 1.0, (200, 3)) + np.array([0.0, 0.0, 5.0])
-    first, second = pencils(scene.R, box.unit(scene.t), synthetic.K, synthetic.K)
-    angles = [
-        pencil.angles(box.project(box.in_view(points, scene, view), synthetic.K))
-        for view, pencil in enumerate((first, second))
-    ]
-    np.testing.assert_allclose(angles[0], angles[1], atol=1e-12)  # rounding
-    pixels, h = box.project(points, synthetic.K), 1e-4
-    for axis in range(2):
-        step = h * np.eye(2)[axis]
-        numeric = (first.angles(pixels + step) - first.angles(pixels - step)) / (2 * h)
-        # Central differences of angles of order 1: 1e-16 / 1e-4.
-        np.testing.assert_allclose(first.gradients(pixels)[:, axis], numeric, atol=1e-10)
-
-
 @pytest.mark.parametrize("scale", [1, 8])
 def test_tangents_touch_the_outermost_corners(scale):
     scene = synthetic.make_scene(1, duration_s=6.0)
