@@ -9,7 +9,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from ssac.arrays import Array, IntArray
 from ssac.config import Config
-from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.methods.method import Input, method
@@ -150,17 +149,13 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper does not say which number; here it is the mean brightness, whose errors
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
-    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states. SsacError
-    if a camera has no frames, or not one time for each frame.
+    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
     """
     frame_s, signals = config.rules.signals.frame_s, []
-    for seen, name in ((one, "camera 1"), (other, "camera 2")):
-        frames, times_s = seen.frames, seen.frame_times_s
-        if frames is None or times_s is None:
-            raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
-        if len(frames) != len(times_s):
-            raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
-        signals.append(binned(times_s, frame_means(frames), frame_s))
+    for seen in (one, other):
+        assert seen.frames is not None  # else the method lacks them, and is not run
+        assert seen.frame_times_s is not None
+        signals.append(binned(seen.frame_times_s, frame_means(seen.frames), frame_s))
     return _most_alike("zncc_f", signals, frame_s, config)
 
 
