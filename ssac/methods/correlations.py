@@ -35,14 +35,12 @@ def counted(times_us: IntArray, bin_us: int) -> Signal:
     return Signal(first_bin, counts.astype(np.float64))
 
 
-def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
-    """Average values (n,) at ascending times in each bin, empty bins interpolated; None counts."""
+def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
+    """Average values (n,) at ascending times in each bin, empty bins interpolated."""
     bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
     if len(bins) == 0:
         return Signal(0, np.empty(0))
     counts = np.bincount(bins - bins[0])
-    if values is None:
-        return Signal(int(bins[0]), counts.astype(np.float64))
     means = np.bincount(bins - bins[0], values) / np.maximum(counts, 1)
     filled = np.flatnonzero(counts)
     return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
