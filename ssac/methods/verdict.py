@@ -36,8 +36,8 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
         status = Status.SEARCH_BOUND
         reason = f"the best offset, {search.t_d_s:.3f} s, bounds the search: widen the interval"
     t_d_s = search.t_d_s if status == Status.OK else np.nan
-    curve = {"candidates_s": search.candidates_s, "costs": search.d_avg_px}
-    return Estimate(method, status, reason, t_d_s, **curve)
+    found = Estimate(method, status, reason, t_d_s)
+    return replace(found, candidates_s=search.candidates_s, costs=search.d_avg_px)
 
 
 def _needed(views: TwoViews) -> str:
