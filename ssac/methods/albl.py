@@ -9,7 +9,6 @@ step that grows while the shift found does not gain inliers, and starts small ag
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numba
 import numpy as np
@@ -77,9 +76,7 @@ class _Agreement:
 
 @method("albl", "eigenvalue solver of Albl et al. (2017)", place=7)
 def albl_of_views(views: TwoViews) -> Estimate:
-    """Time offset and relative pose by the iterated eigenvalue solver of Albl et al. (2017).
-
-    The iteration may stop at a local optimum.
+    """Time offset and relative pose by the iterated solver; it may stop at a local optimum.
 
     Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
     iteration starts where a first RANSAC finds most inliers, of offsets all over the search
@@ -96,7 +93,7 @@ def albl_of_views(views: TwoViews) -> Estimate:
         reason = f"the events have no common time at any offset between {low:g} and {high:g} s"
         return Estimate("albl", Status.NO_COMMON_TIME, reason)
     low, high = float(usable_s[0]), float(usable_s[-1])
-    t_d_s = _start(views, start_offsets(low, high, rules.start_step_s))
+    t_d_s = _start(views, _start_offsets(low, high, rules.start_step_s))
     rng = np.random.default_rng(views.config.seed)
     best_share = 0.0
     level, pairs = 0, views.pairs(np.array([t_d_s]))
@@ -132,12 +129,9 @@ def albl_of_views(views: TwoViews) -> Estimate:
     return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, views, p1, p2)
 
 
-def start_offsets(low_s: float, high_s: float, step_s: float) -> Array:
-    """Offsets [s] to start from: odd multiples of half a step between two bounds, and these.
-
-    They are fixed to the clocks and not to the bounds, lest an interval that somebody put around
-    the offset tell where it is.
-    """
+def _start_offsets(low_s: float, high_s: float, step_s: float) -> Array:
+    """Offsets [s] to start from: odd multiples of half a step between two bounds, and these."""
+    # Fixed to the clocks, lest an interval that somebody put around the offset tell where it is.
     first, last = (round(bound_s / step_s) for bound_s in (low_s, high_s))
     grid_s = step_s * (np.arange(first - 1, last + 2) + 0.5)
     return np.unique(np.clip(grid_s, low_s, high_s))
@@ -175,59 +169,32 @@ def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[tuple[Track, 
 
 
 def _most_agreed(
-    both: list[_Linearised],
-    rules: Rules,
-    rng: np.random.Generator,
-    to_exceed: float,
-    trials: int,
+    both: list[_Linearised], rules: Rules, rng: np.random.Generator, to_exceed: float, trials: int
 ) -> _Agreement | None:
-    """Find what more than a share of the pairs of an offset agree with, by either of the secants.
-
-    Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is passed
-    over, so that no other draw depends on it.
-    """
+    """Find what more than a share of an offset's pairs agree with, by either of the secants."""
     best: _Agreement | None = None
     for linearised in both:
         n = len(linearised)
         if n < max(rules.search.min_pairs, 9):
             continue
+        numbers = rng.random((trials, n))
         if to_exceed < 1.0:
-            found = _ransac(linearised, rng.random((trials, n)), to_exceed, rules.albl)
+            found = _ransac(linearised, numbers, to_exceed, rules.albl)
             if found is not None and found.inlier_share > to_exceed:
                 best, to_exceed = found, found.inlier_share
-        else:
-            cast(np.random.PCG64, rng.bit_generator).advance(trials * n)
     return best
 
 
 def _linearised(pairs: Pairs, ahead: Track, step_s: float, m: int) -> _Linearised:
     """Pairs of offset m, with the mean velocity of p2 from t + t_d to t + t_d + step."""
-    valid, ahead_px = pairs.valid[m] & ahead.valid[m], ahead.positions_px[m]
-    points, squares = _centred(pairs.p1_px[m], pairs.p2_px[m], ahead_px, valid, step_s)
+    valid = pairs.valid[m] & ahead.valid[m]
+    p1_px, p2_px = pairs.p1_px[m, valid], pairs.p2_px[m, valid]
+    v2 = (ahead.positions_px[m, valid] - p2_px) / step_s
+    x1, x2 = (p_px - np.cumsum(p_px, axis=0)[-1:] / len(p_px) for p_px in (p1_px, p2_px))
+    squares = np.stack([x1, x2]) ** 2
     unit_px = float(np.sqrt(np.mean(squares))) if squares.any() else 1.0
-    x1, x2, v2 = points / unit_px
+    x1, x2, v2 = np.stack([x1.T, x2.T, v2.T]) / unit_px
     return _Linearised(x1, x2, v2, unit_px, abs(step_s))
-
-
-@numba.njit(cache=True)
-def _centred(
-    p1_px: Array, p2_px: Array, ahead_px: Array, valid: Mask, step_s: float
-) -> tuple[Array, Array]:
-    """Take the n valid pairs about their means and their secants (3, 2, n); squares (2, n, 2)."""
-    n = np.count_nonzero(valid)
-    found, squares = np.empty((3, 2, n)), np.empty((2, n, 2))
-    for axis in range(2):
-        x1, x2, v2 = found[0, axis], found[1, axis], found[2, axis]
-        sum_1, sum_2, k = 0.0, 0.0, 0
-        for i in range(len(valid)):
-            if valid[i]:
-                x1[k], x2[k] = p1_px[i, axis], p2_px[i, axis]
-                v2[k] = (ahead_px[i, axis] - p2_px[i, axis]) / step_s
-                sum_1, sum_2, k = sum_1 + x1[k], sum_2 + x2[k], k + 1
-        for k in range(n):
-            x1[k], x2[k] = x1[k] - sum_1 / n, x2[k] - sum_2 / n
-            squares[0, k, axis], squares[1, k, axis] = x1[k] * x1[k], x2[k] * x2[k]
-    return found, squares
 
 
 def _ransac(
@@ -236,10 +203,7 @@ def _ransac(
     """Find the shift with most inliers over random subsets of nine pairs; None if these are few."""
     n, (A, B) = len(pairs), pairs.constraints
     limit, longest_s = (rules.inlier_px / pairs.px_per_unit) ** 2, 2.0 * pairs.step_s
-    # One subset per row of random numbers (T, n): the nine least of them.
-    least = np.argpartition(numbers, 8, axis=1)[:, :9]
-    order = np.argsort(np.take_along_axis(numbers, least, axis=1), axis=1)
-    subsets = np.take_along_axis(least, order, axis=1)
+    subsets = np.argsort(numbers, axis=1)[:, :9]  # one per row of random numbers (T, n)
     most = max(int(share_to_exceed * n) - 1, 0)
     found: tuple[float, Array] | None = None
     for first in range(0, len(subsets), 50):
@@ -257,12 +221,9 @@ def _ransac(
 
 
 def _solutions(A: Array, B: Array, subsets: Indices, longest_s: float) -> tuple[Array, Array]:
-    """All real solutions of (A + b B) f = 0 for subsets (T, 9): shifts b (S,) [s], F (S, 3, 3).
-
-    B has no entries in f's last three columns: with X (9, 6) = A^-1 B of the first six,
-    f = -b X f[:6]. Its first six rows are an eigenvalue problem with six shifts b, the others give
-    the rest of f.
-    """
+    """All real solutions of (A + b B) f = 0 for subsets (T, 9): shifts b (S,) [s], F (S, 3, 3)."""
+    # B has no entries in f's last three columns: with X (9, 6) = A^-1 B of the first six,
+    # f = -b X f[:6], six rows of which are an eigenvalue problem; the others give the rest of f.
     X = _quotients(A, B, subsets)
     X = X[np.isfinite(X).all(axis=(1, 2))]
     inverse_shifts, heads = np.linalg.eig(-X[:, :6])

@@ -62,14 +62,13 @@ class _Along:
 
 
 def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
-    """Time offset of an object on a straight line in both views; its pose is open.
+    """Time offset of an object on a straight line in both views; "degenerate_pose" at best.
 
     A line in space leaves the epipolar constraint nothing to say: F = l2 a' + b l1' takes every
     point of the track's line l1 to the line l2, at any offset. But the two images of the line are
     related by a projectivity of one dimension, s2(t + t_d) = (a s1(t) + b) / (c s1(t) + 1) with the
     distances s along the lines, and that holds at the true offset only, as long as the speed
     varies: at a uniform speed position is itself a projectivity of time, and so is any delayed one.
-    The estimate is "degenerate_pose" with an offset, or says why there is none either.
     """
 
     def cost_px(t_d_s: Array) -> Array:
@@ -148,13 +147,6 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
     return t_d_s, std_s, n_pairs
 
 
-_NO_FIT = Refusal(
-    Status.NO_MATCH,
-    "at the best offset no fundamental matrix fits the pairs: the cameras see different objects, or"
-    " one at rest",
-)
-
-
 @method(
     "ssac-known",
     "the paper's Algorithm 1",
@@ -164,11 +156,7 @@ _NO_FIT = Refusal(
     of_one_object=True,
 )
 def algorithm_1(views: TwoViews) -> Estimate:
-    """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
-
-    The status is "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
-    "ambiguous_offset". SsacError where the rig has no `T_2_1`.
-    """
+    """Time offset with the extrinsics of the rig: the paper's Algorithm 1."""
     R, t = known_pose(views.rig)
     F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
@@ -193,11 +181,7 @@ def algorithm_1(views: TwoViews) -> Estimate:
     of_one_object=True,
 )
 def algorithm_2(views: TwoViews) -> Estimate:
-    """Time offset and relative pose: the paper's Algorithm 2.
-
-    As `algorithm_1`, but the rig's `T_2_1` is not used. The status may also be "too_little_motion";
-    or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
-    """
+    """Time offset and relative pose, without the rig's extrinsics: the paper's Algorithm 2."""
     config, rules, (view1, view2) = views.config, views.rules.search, views.alone.views
     if view1 is not None and view2 is not None and views.alone.are_straight:
         return straight_path(views, (view1, view2))
@@ -233,7 +217,11 @@ def algorithm_2(views: TwoViews) -> Estimate:
         return refused(estimate, refusal)
     F = _robust_fit(p1, p2, views, config.final_trials)
     if not np.isfinite(F).all():
-        return refused(estimate, _NO_FIT)
+        reason = (
+            "at the best offset no fundamental matrix fits the pairs: the cameras see different"
+            " objects, or one at rest"
+        )
+        return refused(estimate, Refusal(Status.NO_MATCH, reason))
     estimate = with_fit(estimate, F, p1, p2)
     estimate = _checked(estimate, _distance_px(estimate), views)
     if estimate.status != Status.OK:

@@ -92,10 +92,7 @@ class ClockModel:
         return np.append(values, self.shutters.readouts_s(estimate))
 
     def problem(self, problem: Problem, parameters: Parameters, views: TwoViews) -> Problem:
-        """Add clock and shutters to a problem of pairs that were sampled with those of parameters.
-
-        The views are those that `views` gives for the parameters.
-        """
+        """Add clock and shutters to a problem of pairs that were sampled with some parameters."""
         pairs, shutters, first = problem.pairs, self.shutters, self.first_readout
         nothing = np.zeros_like(pairs.p1_px)
         columns = [
@@ -145,10 +142,7 @@ class ClockModel:
         return float(np.hypot(strayed, read_out))
 
     def told(self, estimate: Estimate, residuals: Residuals, covariance: Array) -> Estimate:
-        """Put the clock found, and readouts said and found, into an estimate.
-
-        The covariance (f, f) is of all that was free.
-        """
+        """Put the clock found, and readouts said and found, into an estimate."""
         problem, parameters = residuals.problem, residuals.parameters
         said = [camera.readout_s for camera in (problem.rig.cam1, problem.rig.cam2)]
         readouts_s = np.array([np.nan if one is None else one for one in said])
@@ -188,10 +182,7 @@ class ClockModel:
 
 
 def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
-    """Say what is to be found of both clocks, as the config asks for, and of shutters.
-
-    The start's offset gives the common time, and so t_ref, unless it has one.
-    """
+    """Say what is to be found of both clocks, as the config asks for, and of shutters."""
     first_s, last_s = views.common_s(start.t_d_s)
     half_s = 0.5 * (last_s - first_s)
     t_ref_s = float(start.t_ref_s if np.isfinite(start.t_ref_s) else 0.5 * (first_s + last_s))

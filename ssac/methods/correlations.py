@@ -1,7 +1,7 @@
 """Offsets by correlation of two signals: event rates, and the brightness of frames."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from ssac.arrays import Array, IntArray
 from ssac.config import Config
-from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.methods.method import Input, method
@@ -36,14 +35,12 @@ def counted(times_us: IntArray, bin_us: int) -> Signal:
     return Signal(first_bin, counts.astype(np.float64))
 
 
-def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
-    """Average values (n,) at ascending times in each bin, empty bins interpolated; None counts."""
+def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
+    """Average values (n,) at ascending times in each bin, empty bins interpolated."""
     bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
     if len(bins) == 0:
         return Signal(0, np.empty(0))
     counts = np.bincount(bins - bins[0])
-    if values is None:
-        return Signal(int(bins[0]), counts.astype(np.float64))
     means = np.bincount(bins - bins[0], values) / np.maximum(counts, 1)
     filled = np.flatnonzero(counts)
     return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
@@ -81,14 +78,14 @@ def lags_of(config: Config, bin_s: float) -> IntArray:
 
 def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
     """Choose the lag of highest correlation; status "no_common_signal" when there is none."""
+    found = Estimate(method, candidates_s=lags_s, costs=-curve)
     if not np.isfinite(curve).any():
         reason = (
             "at no lag in the interval do both signals overlap by half and vary: check that both"
             " cameras recorded at a time, and search where they did (--search)"
         )
-        return Estimate(method, Status.NO_COMMON_SIGNAL, reason, candidates_s=lags_s, costs=-curve)
-    best = int(np.nanargmax(curve))
-    return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)
+        return replace(found, status=Status.NO_COMMON_SIGNAL, reason=reason)
+    return replace(found, t_d_s=float(lags_s[np.nanargmax(curve)]))
 
 
 @method("event_rate", "event rates, Censi and Scaramuzza (2014)", place=10, input=Input.RATES)
@@ -150,22 +147,14 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper does not say which number; here it is the mean brightness, whose errors
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
-    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states. SsacError
-    if a camera has no frames, or not one time for each frame.
+    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
     """
-    frame_s, named = config.rules.signals.frame_s, ((one, "camera 1"), (other, "camera 2"))
-    signals = [mean_brightness(seen, name, frame_s) for seen, name in named]
+    frame_s, signals = config.rules.signals.frame_s, []
+    for seen in (one, other):
+        assert seen.frames is not None  # else the method lacks them, and is not run
+        assert seen.frame_times_s is not None
+        signals.append(binned(seen.frame_times_s, frame_means(seen.frames), frame_s))
     return _most_alike("zncc_f", signals, frame_s, config)
-
-
-def mean_brightness(observation: Observation, name: str, frame_s: float) -> Signal:
-    """Mean of each frame, on a grid of even frames; SsacError when there are no frames."""
-    frames, times_s = observation.frames, observation.frame_times_s
-    if frames is None or times_s is None:
-        raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
-    if len(frames) != len(times_s):
-        raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
-    return binned(times_s, frame_means(frames), frame_s)
 
 
 def frame_means(frames: NDArray[np.generic]) -> Array:

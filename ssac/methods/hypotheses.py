@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssac.camera import known_pose
-from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
-from ssac.geometry.pose import Pose, homography_poses, possible_poses, share_in_front
+from ssac.geometry.pose import homography_poses, possible_poses, share_in_front
 from ssac.methods.verdict import certain, refused
 from ssac.rules import Rules
 from ssac.search.offset_search import no_match, open_fundamental, other_offsets, valleys
@@ -31,10 +31,7 @@ class Solution:
 
 
 def choose(start: Estimate, solutions: list[Solution], rules: Rules) -> Estimate:
-    """Take the solution that fits best, or say which others fit about as well.
-
-    The start is what they were refined from; it is given back as it is when there are none.
-    """
+    """Take the solution that fits best, or the start of none; or say which others fit as well."""
     if not solutions:
         return start
     rivals = _rivals(solutions, rules.hypotheses.clearly)
@@ -93,9 +90,8 @@ class Choice:
     def settled(self, start: Estimate) -> Estimate:
         """Refine an estimate, and all that is in question beside it, and choose the best.
 
-        The start, of a search, may have any status; it is given back when nothing can be made of
-        it. An ordinary one is refined once. The result is not judged by its own covariance yet,
-        which is for `ssac.methods.verdict.certain`.
+        The start is given back when nothing can be made of it. The result is not judged by its own
+        covariance yet, which is for `ssac.methods.verdict.certain`.
         """
         if start.status == Status.OK:
             start = self.refine(start, self.views)
@@ -121,10 +117,7 @@ class Choice:
         """Keep to the search's refusal where the failure of all other hypotheses says little.
 
         On a circle F is open at any offset, so that other poses may fit that no hypothesis led to;
-        and so they may all along a valley without an end.
-
-        The estimate is the one that is left of those refined from the start, which is of the
-        search.
+        and so they may all along a valley without an end. The start is of the search.
         """
         views = self.views
         is_searched = start.status == Status.AMBIGUOUS_OFFSET and not views.pose_is_known
@@ -147,21 +140,24 @@ class Choice:
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
             return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)
-        # F left the pose open, so that a calibrated one may still be found; but a straight path's
-        # offset has a deviation.
-        is_open = start.status in POSE_IS_OPEN and not np.isfinite(start.t_d_std_s)
         if start.status not in SETTLED_BY["joint"]:
             return []
         if start.status == Status.AMBIGUOUS_OFFSET:
             offsets_s = _offsets_of_valleys(start, self.views.rules)
-        elif is_open and np.isfinite(start.t_d_s):
+        # F left the pose open, so that a calibrated one may still be found; but a straight path's
+        # offset has a deviation.
+        elif np.isfinite(start.t_d_s) and not np.isfinite(start.t_d_std_s):
             offsets_s = [start.t_d_s, *(start.t_d_s + shift_s for shift_s in rules.probes_s)]
         else:
             return []
         plain = replace(start, status=Status.OK, reason="", alternatives_s=np.empty(0))
-        found = []
+        found, rig = [], self.views.rig
         for t_d_s in offsets_s:
-            poses = self._poses_at(t_d_s)
+            if self.views.pose_is_known:
+                poses = [known_pose(rig)]
+            else:
+                points_px = self.views.pairs_at(t_d_s).points_px
+                poses = possible_poses(*points_px, rig, self.views.rules.search)
             if start.status == Status.AMBIGUOUS_OFFSET or t_d_s != start.t_d_s:
                 poses = poses[: rules.max_poses]
             found += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
@@ -183,13 +179,6 @@ class Choice:
         object_px = float(np.median(np.hypot(track1.sizes_px[good], track2.sizes_px[good])))
         distance_px = estimate.d_avg_px if self.by_own_pairs else float(np.mean(trimmed))
         return [Solution(estimate, distance_px, object_px)]
-
-    def _poses_at(self, t_d_s: float) -> list[Pose]:
-        """Poses that the pairs at an offset may have; the given one where it is known."""
-        rig = self.views.rig
-        if self.views.pose_is_known:
-            return [known_pose(rig)]
-        return possible_poses(*self.views.pairs_at(t_d_s).points_px, rig, self.views.rules.search)
 
     def _other_poses_of_a_plane(self, start: Estimate) -> list[Estimate]:
         """Give the poses of the homography between views, where the path may lie in a plane."""

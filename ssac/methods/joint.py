@@ -29,18 +29,8 @@ from ssac.track.motion import SharpTrack
     "joint",
     "ssac, then offset and pose refined together",
     place=3,
-    known_variant="joint-known",
+    known="ssac-known, then the offset refined",
     starts_from="ssac",
-    finds_readout=True,
-    follows_clock=True,
-    of_one_object=True,
-)
-@method(
-    "joint-known",
-    "ssac-known, then the offset refined",
-    place=4,
-    needs_extrinsics=True,
-    starts_from="ssac-known",
     finds_readout=True,
     follows_clock=True,
     of_one_object=True,
@@ -48,9 +38,7 @@ from ssac.track.motion import SharpTrack
 def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     """Refine offset and pose together, or the offset alone where the pose is known.
 
-    The start is what Algorithm 2, or Algorithm 1 with a known pose, found of the same views. The
-    result has `t_d_std_s` and `covariance`; its status may be that of the start, or
-    "no_convergence", "clock_jump", "poor_fit".
+    The start is what Algorithm 2, or Algorithm 1 with a known pose, found of the same views.
     """
     name = "joint-known" if views.pose_is_known else "joint"
     start = with_coarse_skew(start, views)

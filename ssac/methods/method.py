@@ -12,7 +12,7 @@ so that a list of methods imports none of them.
 import ast
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from importlib import import_module
@@ -124,7 +124,8 @@ def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Fu
     """Declare a method that the function below runs; it has no effect at run time.
 
     All is in quotes, or numbers, as nothing is evaluated: name and summary, the place in lists from
-    1 on (those without one come last, by name), and further fields of `Method`.
+    1 on (those without one come last, by name), and further fields of `Method`. `known` sums up the
+    variant for known extrinsics, which follows in lists, where the same function runs it.
     """
     del name, summary, place, says
     return lambda function: function
@@ -160,8 +161,13 @@ def _declared_in(path: Path) -> Iterator[tuple[float, Method]]:
             place = says.pop("place", float("inf"))
             if "keeps_start" in says:
                 says["keeps_start"] = f"{module}:{says['keeps_start']}"
-            kind = says.pop("input", Input.TRACKS)
-            yield place, Method(name, None, kind, summary, runs=f"{module}:{found[2]}", **says)
+            kind, known = says.pop("input", Input.TRACKS), says.pop("known", "")
+            one = Method(name, None, kind, summary, runs=f"{module}:{found[2]}", **says)
+            if known:
+                variant = replace(one, name=f"{name}-known", summary=known, needs_extrinsics=True)
+                yield place + 0.5, replace(variant, starts_from=f"{one.starts_from}-known")
+                one = replace(one, known_variant=variant.name)
+            yield place, one
 
 
 def _value(node: ast.expr) -> Any:

@@ -89,10 +89,7 @@ class Refinement(ABC):
         """Give what errors that no residual shows do to the distances: (n, m)."""
 
     def estimate(self, R: Array, t: Array) -> Estimate:
-        """Refine the start's offset, and a pose if it is not known.
-
-        With a known pose there is a `t_d_std_s` but no `covariance`.
-        """
+        """Refine the start's offset, and a pose if it is not known: else with no `covariance`."""
         start, views, model = self.start, self.views, self.model
         parameters = Parameters(start.t_d_s, R, t, model.start(start))
         for number in range(self.max_rounds):
@@ -105,7 +102,10 @@ class Refinement(ABC):
             found = model.solve(problem, before, **self.solving)
             last, parameters = Round(number, seen, before, problem, found), found.parameters
             if abs(parameters.t_d_s - start.t_d_s) > self.rules.joint.max_shift_s:
-                return self._astray(parameters)
+                furthest_ms = 1e3 * self.rules.joint.max_shift_s
+                return self.no_convergence(
+                    f"{self.moved(parameters)}, further than {furthest_ms:.0f} ms"
+                )
             settles = self.allowance.is_made and self.settles(last)
             if settles:
                 break
@@ -139,13 +139,7 @@ class Refinement(ABC):
 
     def moved(self, parameters: Parameters) -> str:
         """Say where the refinement went."""
-        where = f"from {self.start.t_d_s:.3f} to {parameters.t_d_s:.3f} s"
-        return f"the refinement moved t_d {where}"
-
-    def _astray(self, parameters: Parameters) -> Estimate:
-        """Refuse to leave the minimum of the start."""
-        furthest_ms = 1e3 * self.rules.joint.max_shift_s
-        return self.no_convergence(f"{self.moved(parameters)}, further than {furthest_ms:.0f} ms")
+        return f"the refinement moved t_d from {self.start.t_d_s:.3f} to {parameters.t_d_s:.3f} s"
 
     def _told(
         self, start: Estimate, residuals: Residuals, covariance: Array, hidden_px: Array
@@ -181,10 +175,9 @@ def smooth_errors(
 ) -> Array:
     """Give what each part of a bias in both views, one deviation of it, does to distances: (n, 12).
 
-    What is taken for the object's place lies elsewhere on it as this is seen from elsewhere, and a
-    change of pose can take such a smooth function of the image position away, so that no residual
-    shows it. Its parts (3,) are shares of the object's size: per unit of x / z and y / z, and
-    anywhere. Distances are not weighed.
+    Where on the object its place is taken to be changes smoothly with the image position, which a
+    change of pose can take away, so that no residual shows it. The bias's parts (3,) are shares of
+    the object's size: per unit of x / z and y / z, and anywhere. Distances are not weighed.
     """
     parts = []
     for F_there, there, here, K in (

@@ -40,8 +40,7 @@ class _Shape:
 def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
     """Follow one point of the body in both views, about where an offset and a pose put it.
 
-    Of it there are images on each camera's own clock. A sentence says why there are none; it is
-    empty where nothing could be tried, as noise had left the events before.
+    A sentence says why there is none; it is empty where nothing could be tried.
     """
     if views.cleans is None or found.R is None or found.t is None:
         return ""
@@ -55,10 +54,8 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
         try:
             shaped = shaped_track_of(clean, views.config)
         except SsacError:  # of a window that shows no object
-            shaped = None
-        if shaped is None:
             return ""
-        shape = _shape_of(shaped, views, k)
+        shape = "" if shaped is None else _shape_of(shaped, views, k)
         if isinstance(shape, str):
             return shape
         shapes.append(shape)
@@ -88,12 +85,9 @@ def _followed(
 
     def points(times_s: Array) -> Array:
         """Where the object is (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
-        places = [
-            np.round(shape.centres.at(own_s).positions_px, 4)
-            for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
-        ]
         rays1, rays2 = (
-            rays_of(shape.K, place) for shape, place in zip(shapes, places, strict=True)
+            rays_of(shape.K, np.round(shape.centres.at(own_s).positions_px, 4))
+            for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
         )
         depths1, depths2 = depths(R, t, rays1, rays2)
         middle = 0.5 * (rays1 * depths1[:, None] + (rays2 * depths2[:, None] - t) @ R)
@@ -132,11 +126,8 @@ def _followed(
 
 
 def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
-    """Give the clock, R and t of an estimate, rounded by less than an image can tell.
-
-    What is seen of a body is found by many comparisons, and would tell rounding errors of what it
-    is found from: the same recording with a delayed clock would differ by more than these.
-    """
+    """Give the clock, R and t of an estimate, rounded by less than an image can tell."""
+    # Comparisons would tell rounding errors: with a delayed clock they would fall out otherwise.
     assert found.R is not None
     assert found.t is not None
     clock = found.clock

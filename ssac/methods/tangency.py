@@ -41,7 +41,7 @@ def for_blind(views: TwoViews) -> TwoViews:
     The mean of a window's events then has another time than the window's middle, and the course
     about which tangents are found would go to and fro. A rough window would be blind on one side.
     """
-    if not any(len(blind.spans_us) for blind in views.alone.blind):
+    if not any(map(len, views.alone.blind_us)):
         return views
     config = views.rules.tangency
     longest_s = max(config.outline.rough_half_window_s, config.outline.half_window_s)
@@ -81,10 +81,7 @@ def tangents_under(
 
 
 def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
-    """Give both motions, without a line that holds the object; SsacError for a track of points.
-
-    A track has no outline. That of the object is not the line's, whose end has no place.
-    """
+    """Give both motions, without a line that holds the object; SsacError for a track of points."""
     one, other = views.motion1, views.motion2
     if not (isinstance(one, ObjectMotion) and isinstance(other, ObjectMotion)):
         raise SsacError(
@@ -135,20 +132,8 @@ def is_tiny(views: TwoViews) -> bool:
     "tangency",
     "joint, then refined by the outline's tangents",
     place=5,
-    known_variant="tangency-known",
+    known="joint-known, then the offset refined by tangents",
     starts_from="joint",
-    keeps_start="is_tiny",
-    counts="pairs of tangents to the outline, and of a body's point",
-    needs_events=True,
-    follows_clock=True,
-    of_one_object=True,
-)
-@method(
-    "tangency-known",
-    "joint-known, then the offset refined by tangents",
-    place=6,
-    needs_extrinsics=True,
-    starts_from="joint-known",
     keeps_start="is_tiny",
     counts="pairs of tangents to the outline, and of a body's point",
     needs_events=True,
@@ -162,11 +147,8 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     for the tangents: where `joint` refuses, they are tried from the search that it started from.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
-    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one.
-
-    The start is what `joint_from` found of the same views. The result has `t_d_std_s` and
-    `covariance`; its `n_samples` and `d_avg_px` are of the pairs of tangents. Its status may be
-    that of the start, or "no_convergence", "clock_jump", "poor_fit".
+    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one. The
+    start is of `joint_from`; `n_samples` and `d_avg_px` are of the pairs of tangents.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search, rules = start.start, views.rules.verdict
@@ -187,20 +169,18 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
         return widened(start, strays_s**2) if is_astray else with_body(found, views)
     if views.alone.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
         return start
-    found = certain(Choice(views, _from_search, by_own_pairs=True).settled(search), rules)
+
+    def refined(search: Estimate, views: TwoViews) -> Estimate:
+        return refine_tangents(refine(search, views), views)  # positions lead to the tangents
+
+    found = certain(Choice(views, refined, by_own_pairs=True).settled(search), rules)
     return with_body(found, views) if found.status == Status.OK else start
-
-
-def _from_search(start: Estimate, views: TwoViews) -> Estimate:
-    """Refine by positions, which lead to where tangents may be found, and by these."""
-    return refine_tangents(refine(start, views), views)
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
     """Join tangents with the pairs of one point of a rigid body, where both views show one.
 
-    What was found by tangents stays where there is no body, and where the body contradicts it: then
-    `without_body` says why, and deviations become as wide as the contradiction.
+    Where the body contradicts what was found, deviations become as wide as the contradiction.
     """
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
@@ -210,42 +190,22 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
         return replace(found, without_body=body)
     joined = _OfTangents(found, for_blind(views), body).estimate(found.R, found.t)
     joined = certain(joined, views.rules.verdict)
-    if joined.status != Status.OK:
+    if joined.status != Status.OK or joined.R is None or joined.t is None:
         return replace(found, without_body=f"with the body it were {joined.status}")
-    change = _change(found, joined)
-    if _in_deviations(change, found) > rules.max_apart:
-        return replace(_wider(found, change), without_body="the body contradicts the tangents")
+    # Of t_d [s] and the pose [rad], and its length in deviations of the tangents.
+    change = np.append(joined.t_d_s - found.t_d_s, pose_step(found.R, found.t, joined.R, joined.t))
+    covariance, apart = found.covariance, float(abs(change[0]) / found.t_d_std_s)
+    if covariance is not None:
+        apart = float(np.sqrt(change @ np.linalg.solve(covariance, change)))
+        covariance = covariance + np.outer(change, change)
+    if apart > rules.max_apart:  # either may be right
+        wider = replace(widened(found, change[0] ** 2), covariance=covariance)
+        return replace(wider, without_body="the body contradicts the tangents")
     return joined
 
 
-def _change(one: Estimate, other: Estimate) -> Array:
-    """Give the change (6,) of t_d [s] and the pose [rad] from one estimate to another."""
-    if one.R is None or one.t is None or other.R is None or other.t is None:
-        return np.full(6, np.nan)
-    step = pose_step(one.R, one.t, other.R, other.t)
-    return np.concatenate([[other.t_d_s - one.t_d_s], step])
-
-
-def _in_deviations(change: Array, found: Estimate) -> float:
-    """Give the length of a change in an estimate's deviations."""
-    if found.covariance is None:
-        return float(abs(change[0]) / found.t_d_std_s)
-    return float(np.sqrt(change @ np.linalg.solve(found.covariance, change)))
-
-
-def _wider(found: Estimate, change: Array) -> Estimate:
-    """Widen what an estimate states by a change that may be right."""
-    known = found.covariance
-    covariance = None if known is None else known + np.outer(change, change)
-    return replace(widened(found, change[0] ** 2), covariance=covariance)
-
-
 def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
-    """Find tangents and refine offset and pose by turns, from an offset and a pose.
-
-    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
-    is a `t_d_std_s` but no `covariance`.
-    """
+    """Find tangents and refine offset and pose by turns, of a start that is "ok", as `refine`."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     return _OfTangents(start, for_blind(views)).estimate(start.R, start.t)
@@ -255,10 +215,7 @@ class _OfTangents(Refinement):
     """Pairs of tangents, found anew as long as the parameters move far; and of a body's point."""
 
     def __init__(
-        self,
-        start: Estimate,
-        views: TwoViews,
-        body: tuple[PointMotion, PointMotion] | None = None,
+        self, start: Estimate, views: TwoViews, body: tuple[PointMotion, PointMotion] | None = None
     ) -> None:
         super().__init__(start, views)
         self.body = body
@@ -271,8 +228,7 @@ class _OfTangents(Refinement):
         # same side of it all along: there an outline that is off by a constant is taken for another
         # pose, and for another offset with it. The fit leaves nothing of that to be seen, so that
         # no deviation may be the smaller for it (`docs/uncertainty.md`).
-        motions = views.motion1, views.motion2
-        self.lessens = all(getattr(motion, "bare", None) is None for motion in motions)
+        self.lessens = all(getattr(motion, "bare", None) is None for motion in views.motions)
         self.times_s = tangent_times(views, start.t_d_s)
         self.near: list[list[OutlineEvents]] | None = None
         self.is_far = True  # as the start may be

@@ -43,7 +43,7 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
 def _needed(views: TwoViews) -> str:
     """Say when a sample time is valid, by what the cameras gave."""
     config = views.config
-    of_points = [isinstance(motion, PointMotion) for motion in (views.motion1, views.motion2)]
+    of_points = [isinstance(motion, PointMotion) for motion in views.motions]
     of_events = (
         f"a window of {2e3 * config.half_window_s:g} ms must hold"
         f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
@@ -68,8 +68,8 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
     t_d_s, alternatives_s = (estimate.t_d_s, others_s) if keeps else (np.nan, np.empty(0))
     stays = {name: getattr(estimate, name) for name in _STAYS + _OF_SEARCH}
-    plain = Estimate(estimate.method, refusal.status, refusal.reason, t_d_s, **stays)
-    return replace(plain, alternatives_s=alternatives_s)
+    stays["alternatives_s"] = alternatives_s
+    return Estimate(estimate.method, refusal.status, refusal.reason, t_d_s, **stays)
 
 
 def doubt(
@@ -83,11 +83,8 @@ def doubt(
 
     Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
     few others not far beyond. A second moving thing pulls the positions away for a while: then
-    those others lie far out, or all do.
-
-    Distances (n,) are signed and weighed, of the parameters found; the object's size is the rms of
-    both images together; `against_intrinsics` is of `ssac.fit.intrinsics.evidence`, and `misfit`
-    of `ssac.fit.intrinsics.wanted`.
+    those others lie far out, or all do. Distances (n,) are weighed; what speaks against the
+    intrinsics, and how they misfit, is said by `ssac.fit.intrinsics`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -158,8 +155,10 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
         f"the motion leaves the pose open by {worst_deg:.0f} deg (1 sigma): {named}; fly in all"
         " directions, and closer to the cameras"
     )
-    open_pose = replace(estimate, status=Status.DEGENERATE_POSE, reason=reason, R=None, t=None)
-    return replace(open_pose, unobservable=unobservable)
+    status = Status.DEGENERATE_POSE
+    return replace(
+        estimate, status=status, reason=reason, R=None, t=None, unobservable=unobservable
+    )
 
 
 def _in_words(direction: Array, t: Array) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 from ssac.arrays import Array, IntArray, Mask
 from ssac.geometry.fundamental import median_after_fit
 from ssac.rules import AllOffsetsRules
+from ssac.search.view import local_minima
 from ssac.track.motion import Motion
 
 Progress = Callable[[float], None]  # called with the share that is done
@@ -30,15 +31,6 @@ class Grid(NamedTuple):
     p_px: Array  # (n, 2)
     valid: Mask  # (n,)
     least_px: float  # that it moves between samples that count
-
-
-def local_minima(costs: Array, most: int) -> list[int]:
-    """Places of the few least local minima of costs (m,), the least first; NaN is none."""
-    known = np.where(np.isfinite(costs), costs, np.inf)
-    padded = np.pad(known, 1, constant_values=np.inf)
-    is_least = (known <= padded[:-2]) & (known < padded[2:]) & np.isfinite(known)
-    places = np.flatnonzero(is_least)
-    return [int(m) for m in places[np.argsort(known[places], kind="stable")[:most]]]
 
 
 @numba.njit(cache=True)
@@ -256,15 +248,12 @@ class _Search:
         return AllOffsets(offsets_s, scan.costs, [], self.step_s)
 
     def guessed(self, scans: list[_Scan]) -> AllOffsets:
-        """Refine the least minima of all scans, and sort them; the nearest to each other are one.
-
-        The curve is that of the first scan.
-        """
+        """Refine the least minima of all scans, and sort them; those near each other are one."""
         most, rules = max(scan.most for scan in scans), self.rules
         starts = sorted(
             (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
             for k, scan in enumerate(scans)
-            for m in local_minima(scan.costs, rules.max_guesses)
+            for m in local_minima(scan.costs)[: rules.max_guesses].tolist()
         )
         apart_s = rules.apart_steps * self.step_s
         tried: list[tuple[float, float]] = []

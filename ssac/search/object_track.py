@@ -34,11 +34,7 @@ class ShapedTrack:
 
 
 def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
-    """Follow a body as `shaped_track_of_events` does, once; None: noise has left for good.
-
-    Points are such a step apart as a body of two views needs. What is found is kept with what is
-    clean.
-    """
+    """Follow a body of two views as `shaped_track_of_events` does, once; None: noise has left."""
     rules = config.rules
     seen = replace(rules, track=replace(rules.track, step_s=rules.body.seen_step_s))
     config = replace(config, rules=seen)

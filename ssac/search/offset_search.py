@@ -18,7 +18,7 @@ from ssac.geometry.epipolar import epipolar_distance
 from ssac.geometry.fundamental import second_best
 from ssac.rules import SearchRules
 from ssac.search.two_views import Pairs, TwoViews
-from ssac.search.view import View
+from ssac.search.view import View, local_minima
 from ssac.track.clean import Clean
 
 Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
@@ -89,14 +89,10 @@ def coarse_to_fine_search(
 ) -> OffsetSearch:
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
 
-    Every 20 ms first, then every 5 ms around the three least local minima, both with the coarse
-    cost, which may be cheaper and less robust; then every 1 ms around the least of all with the
-    cost itself. The other deep minima of the curve are followed to 1 ms as well, with the coarse
-    cost: they are not candidates any more, but say whether the least of all has rivals (`valleys`).
-
-    Motion that turns back more often than an ordinary flight has narrower valleys, and needs a
-    shorter first step: `coarsest`, of 5 fine steps or more. Motion that repeats itself after some
-    lags (k,) [s] has rivals as far from the best.
+    Every `coarsest` steps of 1 ms first, then every 5 ms around the three least local minima, both
+    with the coarse cost, which may be less robust; then every 1 ms around the least of all with the
+    cost itself. The other deep minima, and what a path's returns (k,) [s] lie from the best, are
+    followed to 1 ms with the coarse cost: they say whether the best has rivals (`valleys`).
     """
     middle, finest, close = 5, 1, 3  # fine steps; the last on each side of a rival
     size = len(offsets_s)
@@ -107,7 +103,7 @@ def coarse_to_fine_search(
     coarse_grid = grid = np.append(np.arange(0, size - 1, coarsest), size - 1)
     d_avg_px[grid] = coarse_cost(offsets_s[grid])
     tried = grid
-    minima = _least_local_minima(d_avg_px, grid, rules.kept_minima)
+    minima = grid[local_minima(d_avg_px[grid])[: rules.kept_minima]]
     if len(minima) > 0:
         grid = _neighbourhood(minima, np.arange(-coarsest, coarsest + 1, middle), size)
         d_avg_px[grid] = coarse_cost(offsets_s[grid])
@@ -117,7 +113,7 @@ def coarse_to_fine_search(
         best = known[[np.argmin(d_avg_px[known])]]
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
-        rivals = _least_local_minima(d_avg_px, coarse_grid, rules.max_rivals)
+        rivals = coarse_grid[local_minima(d_avg_px[coarse_grid])[: rules.max_rivals]]
         is_deep = d_avg_px[rivals] < rules.deep * np.nanmedian(d_avg_px[coarse_grid])
         rivals = rivals[is_deep & (np.abs(rivals - best[0]) > coarsest)]
         if returns_s is not None and len(returns_s) > 0:
@@ -146,15 +142,6 @@ def _least_within(values: Array, centres: Indices, reach: int) -> Indices:
         if np.isfinite(near).any():
             found.append(start + int(np.nanargmin(near)))
     return np.array(found, np.intp)
-
-
-def _least_local_minima(values: Array, indices: Indices, most: int) -> Indices:
-    """Find the few least local minima among the values at these ascending indices."""
-    tried = np.where(np.isnan(values[indices]), np.inf, values[indices])
-    padded = np.pad(tried, 1, constant_values=np.inf)
-    is_minimum = (tried <= padded[:-2]) & (tried <= padded[2:]) & np.isfinite(tried)
-    minima = np.flatnonzero(is_minimum)
-    return indices[minima[np.argsort(tried[minima])[:most]]]
 
 
 def _neighbourhood(centres: Indices, around: Indices, size: int) -> Indices:
@@ -202,31 +189,24 @@ class Valley:
 def unusable(
     views: TwoViews, cleans: tuple[Clean, Clean], interval_s: Interval | None
 ) -> Refusal | None:
-    """Refuse what no search can use: an object at rest, clocks far apart, too few events.
-
-    The interval of the offsets searched is None for any.
-    """
+    """Refuse what no search can use: an object at rest, clocks far apart, too few events."""
     too_few = [
         _too_few(number, clean, views.config)
         for number, (clean, view) in enumerate(zip(cleans, views.alone.views, strict=True), start=1)
         if view is None  # else there are windows that hold enough
     ]
-    apart = None if interval_s is None else _no_common_time(cleans, interval_s)
-    return first(at_rest(views.alone.views, views.rules.search), apart, *too_few)
-
-
-def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusal | None:
-    """Refuse recordings without common time at any offset searched."""
+    apart = None
     (start1, end1), (start2, end2) = (one.span_s for one in cleans)
-    if has_common_time(cleans, interval_s) or not np.isfinite([start1, start2]).all():
-        return None
-    low, high = interval_s
-    return Refusal(
-        Status.NO_COMMON_TIME,
-        f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s) have"
-        f" no common time at any offset between {low:g} and {high:g} s: leave out --search, and all"
-        " are tried",
-    )
+    are_known = np.isfinite([start1, start2]).all()
+    if interval_s is not None and are_known and not has_common_time(cleans, interval_s):
+        low, high = interval_s
+        reason = (
+            f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s)"
+            f" have no common time at any offset between {low:g} and {high:g} s: leave out"
+            " --search, and all are tried"
+        )
+        apart = Refusal(Status.NO_COMMON_TIME, reason)
+    return first(at_rest(views.alone.views, views.rules.search), apart, *too_few)
 
 
 def overlapping(cleans: tuple[Clean, Clean]) -> Interval:

@@ -39,15 +39,15 @@ class Match:
     distance_px: float  # their median
 
 
-Pieces = tuple[list[Piece], list[Piece]]  # of both views
-
 SCALE_PX = 100.0  # that makes coordinates about 1, as Hartley's normalisation does
 
 
 class _Matching:
     """The pieces of both views on grids of half bins, and what they have in common."""
 
-    def __init__(self, pieces: Pieces, interval_s: Interval | None, rules: Rules) -> None:
+    def __init__(
+        self, pieces: tuple[list[Piece], list[Piece]], interval_s: Interval | None, rules: Rules
+    ) -> None:
         """Take pieces, and the offsets [s] searched, as if both recordings started at a time."""
         self.pieces, self.interval_s = pieces, interval_s
         self.rules, self.match = rules, rules.match
@@ -111,10 +111,7 @@ class _Matching:
         return range(first, last + 1, self.match.lag_step)
 
     def _start(self, lag: int) -> tuple[float, int, Array] | None:
-        """Give the F of two pairs of pieces that most pieces bear out at an offset.
-
-        The first number is the less, the longer they do.
-        """
+        """Give the F of two pairs of pieces that most bear out at an offset, and how long."""
         match = self.match
         together = sorted(self._together(lag), key=lambda pair: -len(pair[2]))[: match.max_pairs]
         lengths = np.array([len(p1) for _, _, p1, _ in together])
@@ -262,16 +259,10 @@ def one_object(
 ) -> tuple[tuple[Clean, ...], Refusal | None]:
     """Choose the object that all cameras saw, where one of them saw several things at a time.
 
-    Of cameras with noise in their events nothing is chosen: that hangs together too. The interval
-    is of offsets between the clocks of two of them; None for any.
-
-    Returns
-    -------
-    tuple
-        Each camera with the events of that object alone, or as it is where all saw one thing; and
-        why no object is told from the others, if so. Of more than two cameras, the two that bear
-        out one object for longest say which it is; a further one that saw nothing of it has no
-        events left.
+    Each camera is given with the events of that object alone, or as it is where all saw one thing;
+    and why no object is told from the others, if so. Of cameras with noise in their events nothing
+    is chosen: that hangs together too. Of more than two, those two that bear out one object for
+    longest say which it is; a further one that saw nothing of it has no events left.
     """
     seem = [one.denoised and seem_several(one.events, one.camera, rules.objects) for one in cleans]
     if not any(seem) or any(not one.has_track and len(one.events) == 0 for one in cleans):

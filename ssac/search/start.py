@@ -74,10 +74,7 @@ class Start:
         )
 
     def as_seen(self, cam2: Clean) -> Clean:
-        """Camera 2 on a clock that runs as camera 1's, as far as the guess tells.
-
-        It shows the same at the anchor.
-        """
+        """Camera 2 on a clock that runs as camera 1's, by the guess, and is right at the anchor."""
         rate, anchor_s = self.guess.rate, self.anchor_s
         if rate == 1.0:
             return cam2
@@ -139,17 +136,18 @@ class Start:
 def start_of(
     views: TwoViews, rates: Interval | None = None, progress: Progress | None = None
 ) -> Start:
-    """Search all offsets, and all rates of camera 2's clock in a range, for where to begin.
-
-    Both views have clocks as they were recorded. No range: both clocks are about right.
-    """
-    motions, rules = (views.motion1, views.motion2), views.rules.all_offsets
-    has_track = any(isinstance(motion, PointMotion) for motion in motions)
+    """Search all offsets, and all rates of camera 2's clock in a range, for where to begin."""
+    rules = views.rules.all_offsets
+    has_track = any(isinstance(motion, PointMotion) for motion in views.motions)
     freedom = rules.rate_freedom if has_track else 0.0
-    found = search_all_offsets(*motions, rules, rates or (1.0, 1.0), freedom, progress)
+    found = search_all_offsets(*views.motions, rules, rates or (1.0, 1.0), freedom, progress)
     refusal = _refusal(found, views.alone.repeats, rules)
     if refusal is not None and found.guesses:
-        little = too_little_motion(_most_swings(views), rules.unique_swings)
+        swings = [  # how often the object goes to and fro at the most, however much is common
+            0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
+            for motion, view in zip(views.motions, views.alone.views, strict=True)
+        ]
+        little = too_little_motion(min(swings), rules.unique_swings)
         if little is not None:
             refusal = replace(little, reason=f"{little.reason}; {refusal.reason}")
     return Start(found, refusal, freedom > 0.0 or rates is not None)
@@ -161,15 +159,6 @@ _LITTLE_SEEN = (
     " cameras see different objects, or too little of one flight (record longer; record one flight"
     " with both cameras); or a clock runs at a rate of its own (--rate-range)"
 )
-
-
-def _most_swings(views: TwoViews) -> float:
-    """How often the object goes to and fro at the most, however much of it is common."""
-    both = zip((views.motion1, views.motion2), views.alone.views, strict=True)
-    return min(
-        0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
-        for motion, view in both
-    )
 
 
 def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusal | None:

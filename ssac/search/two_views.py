@@ -92,13 +92,18 @@ class TwoViews:
 
     def __post_init__(self) -> None:
         longest_s = float(np.ptp(self.config.offsets_s))
-        alone = Alone((self.motion1, self.motion2), longest_s, self.rules.view, self.rules.blind)
+        alone = Alone(self.motions, longest_s, self.rules.view, self.rules.blind)
         if self.alone is None or not self.alone.is_like(alone):
             object.__setattr__(self, "alone", alone)
 
     def by(self, **rules: Any) -> "TwoViews":
         """Return the same views where some of a stage's rules are others."""
         return replace(self, config=replace(self.config, rules=replace(self.rules, **rules)))
+
+    @property
+    def motions(self) -> tuple[Motion, Motion]:
+        """Both motions."""
+        return self.motion1, self.motion2
 
     @property
     def rules(self) -> Rules:
@@ -127,7 +132,7 @@ class TwoViews:
         Deviation: where both cameras see the object in less than half of that, evenly over the time
         in which they do. The paper's samples would then nearly all fail.
         """
-        n = self.config.n_samples if n_samples is None else n_samples
+        n = n_samples or self.config.n_samples
         start, end = self.overlap_s(t_d_s)
         times_s = start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n)
         seen, even_share = self.alone.seen, self.rules.view.even_share
@@ -162,11 +167,7 @@ class TwoViews:
         return float(np.hypot(size1, size2))
 
     def swings(self, pairs: PairsAt) -> float:
-        """How many times the object goes to and fro while both see it, the fewer of two views.
-
-        A path of n swings has about 4 n independent coordinates in two views, of which the epipolar
-        constraint tests about 2 n.
-        """
+        """How many times the object goes to and fro while both see it, the fewer of two views."""
         if len(pairs) < 2:
             return 0.0
         duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # of known path
@@ -177,11 +178,7 @@ class TwoViews:
         return min(swings_1, duration_s * swing_hz(pairs.p2_px, velocities_2))
 
     def lasting_share(self, t_d_s: float, n_samples: int | None = None) -> float:
-        """Share, up to 1, of an object's bias that stays all along.
-
-        Attitudes change as the object turns back: all of the bias stays in motion too little for an
-        unknown pose, and a tenth or so in an ordinary flight.
-        """
+        """Share, up to 1, of an object's bias that stays: attitudes change where it turns back."""
         n_swings = self.swings(self.pairs_at(t_d_s, n_samples))
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
 
@@ -213,7 +210,7 @@ class Shutters:
 
     def views(self, views: TwoViews, readouts_s: Array) -> TwoViews:
         """Give both views with points where readouts (k,) [s] put them in time."""
-        motions = [views.motion1, views.motion2]
+        motions = [*views.motions]
         for k, readout_s in zip(self.cameras, readouts_s.tolist(), strict=True):
             motion = motions[k]
             if isinstance(motion, PointMotion):
@@ -232,9 +229,8 @@ class Shutters:
         """
         found = []
         for k in self.cameras:
-            motion = (views.motion1, views.motion2)[k]
             camera = (views.rig.cam1, views.rig.cam2)[k]
-            track = motion.sharp_at(times_s[k])
+            track = views.motions[k].sharp_at(times_s[k])
             rows = distort_points(camera, track.positions_px)[:, 1] / max(camera.height - 1, 1)
             moved = -rows[:, None] * track.velocities_px_s
             nothing = np.zeros_like(moved)
@@ -249,7 +245,7 @@ class Shutters:
 def shutters_of(views: TwoViews) -> Shutters:
     """Say which cameras' readouts are to be estimated: of tracks, and not exactly known."""
     found, cameras = [], (views.rig.cam1, views.rig.cam2)
-    for k, motion in enumerate((views.motion1, views.motion2)):
+    for k, motion in enumerate(views.motions):
         if cameras[k].readout_std_s > 0.0 and isinstance(motion, PointMotion):
             expected_s = cameras[k].readout_s or 0.0
             longest_s = min(motion.interval_s, MAX_READOUT_S)

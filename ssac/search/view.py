@@ -34,10 +34,7 @@ class Seen:
         return float(np.mean(self.valid)) if len(self.valid) else 0.0
 
     def spread(self, n: int, some: slice = slice(None), more: Mask | bool = True) -> Array:
-        """Spread n times [s] evenly over those steps, of some, at which it is seen, and more holds.
-
-        Empty where there is none.
-        """
+        """Spread n times [s] evenly over those steps, of some, where it is seen, and more holds."""
         steps = np.flatnonzero(self.valid[some] & more)
         if len(steps) == 0:
             return np.empty(0)
@@ -59,8 +56,7 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
 def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
     """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
 
-    None where they do so in `even_share` of the time that both record, or more, or never. Both were
-    looked at in the same steps; camera 2's clock shows `t_d_s` more.
+    None where they do so in `even_share` of the time that both record, or more, or never.
     """
     shift = round((one.start_s + t_d_s - other.start_s) / one.step_s)  # other = one + shift
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
@@ -73,30 +69,22 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
     return one.spread(n, slice(first, last), there)
 
 
-@dataclass(frozen=True)
-class Blind:
-    """When a camera was blind."""
-
-    spans_us: IntArray  # (g, 2) [us] in its clock, ascending
-    period_s: float = np.nan  # from one to the next; NaN of none
+NEVER_US = np.empty((0, 2), np.int64)  # spans of a camera that is never blind
 
 
-NEVER = Blind(np.empty((0, 2), np.int64))
-
-
-def blind_spans(times_us: IntArray, rules: BlindRules) -> Blind:
-    """Find the readouts of frames among the sorted times of events.
+def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
+    """Find the readouts of frames (g, 2) [us], ascending, among the sorted times of events.
 
     There are none unless most of the events lie in one rhythm of silences.
     """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
-        return NEVER
+        return NEVER_US
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
     alike = np.abs(lengths_us - length_us) <= rules.same_length * length_us
     if np.mean(alike) < 1.0 - rules.most_lengths:
-        return NEVER
+        return NEVER_US
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])
     period_us = float(np.median(since_us))
@@ -104,15 +92,14 @@ def blind_spans(times_us: IntArray, rules: BlindRules) -> Blind:
     near = (beats >= 1.0) & (beats <= rules.most_periods)
     few = np.count_nonzero(near) < rules.least_silences - 1
     if few or length_us > rules.most_share * period_us:
-        return NEVER
+        return NEVER_US
     period_us = float(np.sum(since_us[near]) / np.sum(beats[near]))
     on_beat = np.abs(since_us - beats * period_us) <= rules.same_rhythm * period_us
     if np.mean(on_beat[near]) < 1.0 - rules.most_others:
-        return NEVER
+        return NEVER_US
     chained = near & on_beat
     spans_us = _filled(spans_us, np.where(chained, beats, 0.0).astype(np.intp))
-    is_cut = _cut(times_us, spans_us, period_us, rules)
-    return Blind(spans_us, 1e-6 * period_us) if is_cut else NEVER
+    return spans_us if _cut(times_us, spans_us, period_us, rules) else NEVER_US
 
 
 def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
@@ -205,10 +192,7 @@ def size_px(motion: Motion, times_s: Array) -> float:
 
 
 def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
-    """How often a path goes to and fro [1/s]: its rms speed over pi times its rms extent.
-
-    Rice's formula for the mean crossings of a random motion.
-    """
+    """How often a path goes to and fro [1/s], by Rice's formula for a random motion's crossings."""
     squares = np.sum(velocities_px_s**2, axis=1)
     squares = squares[np.isfinite(squares)]
     speed_px_s = np.sqrt(np.mean(squares)) if len(squares) else 0.0
@@ -217,11 +201,7 @@ def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
 
 
 def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRules) -> Array:
-    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself.
-
-    What fits at one offset then fits a lag further as well, in a valley that may be too narrow for
-    the search's first steps.
-    """
+    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself."""
     start_s, end_s = motion.span_s
     n_samples = 60  # at which each lag is tried
     step_s = max(0.002, (end_s - start_s) / 120_000)  # longer of a path of more than 4 minutes
@@ -240,10 +220,16 @@ def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRu
     means_px = np.sum(distances_px, axis=0) / np.maximum(counts, 1)
     means_px = np.where(counts >= n_samples // 2, means_px, np.inf)
     left = np.cumsum(means_px > 0.5 * view.extent_px) > 0
-    padded = np.pad(means_px, 1, constant_values=np.inf)
-    is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
-    is_back = left & is_least & (means_px < rules.max_return * view.extent_px)
-    return np.asarray(step_s * lags[is_back])
+    is_back = left & (means_px < rules.max_return * view.extent_px)
+    least = np.sort(local_minima(means_px))
+    return np.asarray(step_s * lags[least[is_back[least]]])
+
+
+def local_minima(values: Array) -> Indices:
+    """Places of the local minima of values (n,), the least first; NaN is none."""
+    padded = np.pad(np.where(np.isfinite(values), values, np.inf), 1, constant_values=np.inf)
+    places = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
+    return places[np.argsort(values[places], kind="stable")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,10 +279,9 @@ class Alone:
         return seen_of(self.motions[0], step_s), seen_of(self.motions[1], step_s)
 
     @cached_property
-    def blind(self) -> tuple[Blind, Blind]:
-        """When each camera was blind, in its own clock."""
-        times_us = [one.times_us if isinstance(one, ObjectMotion) else None for one in self.motions]
-        one, other = (
-            NEVER if of_one is None else blind_spans(of_one, self.of_blind) for of_one in times_us
-        )
-        return one, other
+    def blind_us(self) -> list[IntArray]:
+        """When each camera was blind: spans (g, 2) [us] in its own clock."""
+        return [
+            blind_spans(one.times_us, self.of_blind) if isinstance(one, ObjectMotion) else NEVER_US
+            for one in self.motions
+        ]

@@ -10,7 +10,6 @@ from ssac.config import Config
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
-from tests.ssac.cluttered import merged
 from tests.ssac.synthetic import HEIGHT, make_events, make_scene, rotation_angle_deg, track_pair
 
 CLEAN = Config(denoise=False)  # the synthetic events have no noise to remove
@@ -71,28 +70,6 @@ def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
     assert estimate.status == "no_match"
     assert "no fundamental matrix fits" in estimate.reason
     assert np.isnan(estimate.t_d_s)
-
-
-def test_denoising_removes_what_would_mislead():
-    scene = make_scene(seed=0, duration_s=10.0)
-    rng, noisy = np.random.default_rng(0), []
-    for camera in observe(scene, 0, t_d_s=0.05, size_m=0.4):  # dense enough for the radius filter
-        noise = camera.events[rng.integers(len(camera.events), size=50_000)]
-        noise["x"], noise["y"] = rng.integers(346, size=50_000), rng.integers(260, size=50_000)
-        noisy.append(Observation(merged(camera.events, noise)))
-    estimate = ssac(*noisy, scene.unknown_rig, Config())
-    misled = ssac(*noisy, scene.unknown_rig, CLEAN)
-    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0009)  # as above, of half the samples
-    assert rotation_angle_deg(estimate.R, scene.R) < 3.0  # noise close to the object stays
-    assert rotation_angle_deg(misled.R, scene.R) > 5.0  # noise draws every mean to the centre
-
-
-def test_recordings_of_unequal_length_and_start(flight):
-    scene, (cam1, cam2) = flight
-    late = Observation(cam1.events[cam1.events["t"] > 2_000_000])
-    short = Observation(cam2.events[cam2.events["t"] < 10_000_000])
-    estimate = ssac(late, short, scene.unknown_rig, CLEAN)
-    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0009)  # 8 s in common
 
 
 def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():

@@ -9,7 +9,6 @@ import scipy.linalg
 from ssac import albl, zncc_f
 from ssac.camera import Rig
 from ssac.config import Config
-from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import sampson_distance
 from ssac.methods import correlations
@@ -173,15 +172,6 @@ def test_constant_signals_are_refused():
     estimate = correlations.zncc_e_of_events(Observation(events), Observation(events), CLEAN)
     assert estimate.status == "no_common_signal"
     assert np.isnan(estimate.t_d_s)
-
-
-def test_zncc_f_needs_frames():
-    events = flickering_events(np.random.default_rng(0), duration_s=1.0)
-    with pytest.raises(SsacError, match="camera 1: zncc_f compares intensity frames"):
-        zncc_f(Observation(events), Observation(events), RIG, CLEAN)
-    uneven = Observation(events, np.zeros((3, 4, 5)), np.zeros(2))
-    with pytest.raises(SsacError, match="3 frames but 2 frame times"):
-        correlations.zncc_f_of_frames(uneven, uneven, CLEAN)
 
 
 def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree():

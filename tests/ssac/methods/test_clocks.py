@@ -120,17 +120,10 @@ def test_strays_have_no_offset_and_no_skew_of_their_own():
     [
         ({"skew_prior_ppm": -1.0}, "skew_prior_ppm must be 0 to 100000, got -1"),
         ({"skew_prior_ppm": np.nan}, "got nan"),
-        ({"clock": "quartz"}, "clock must be auto or affine or pieces, got 'quartz'"),
         ({"roughness_ppm": 0.0}, "roughness_ppm must be above 0 and up to 100000, got 0"),
         ({"clock": "pieces", "skew_prior_ppm": 0.0}, "its prior must be above 0 ppm"),
-        ({"half_window_s": np.inf}, "half_window_s must be positive and finite, got inf"),
-        ({"seed": -1}, "seed must be a whole number of 0 to .*, got -1"),
         ({"border_px": -3}, "border_px must be a whole number of 0 to .*, got -3"),
-        ({"min_swings": np.nan}, "min_swings must be 0 or more, and finite, got nan"),
         ({"max_border_fraction": 1.5}, "max_border_fraction must be 0 to 1, got 1.5"),
-        ({"interval_s": (1.0, -1.0)}, "ascending order"),
-        ({"robust": "ransac"}, "robust must be lmeds or magsac"),
-        ({"n_samples": 0}, "n_samples must be a whole number of 1 "),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(options, words):

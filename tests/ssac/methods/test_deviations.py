@@ -7,7 +7,6 @@ import pytest
 
 from ssac import Chain, Observation, Status
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.pose import pose_from_fundamental
 from ssac.methods.tangency import TangencyConfig, tangent_pairs
 from ssac.track.outline import Tangents
 from tests.ssac import synthetic
@@ -83,21 +82,6 @@ def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
     # Rounding, of the whole covariance.
     atol = 1e-12 * np.abs(none.covariance).max()
     np.testing.assert_allclose(twice.covariance - none.covariance, 4.0 * added, 1e-6, atol)
-
-
-def test_the_pose_is_the_nearest_to_the_fundamental_matrix():
-    scene = synthetic.make_scene(0, angle_deg=30.0, duration_s=DURATION_S)
-    estimate = Chain(seen(scene), scene.rig, NEAR).estimate("ssac")
-    p1, p2 = synthetic.track_pair(scene, np.linspace(0.0, DURATION_S, 200))
-    distances = sampson_distance(estimate.F, p1, p2)
-
-    def misfit_px(R, t):
-        of_pose = sampson_distance(fundamental_from_pose(synthetic.K, synthetic.K, R, t), p1, p2)
-        return min(np.std(distances - of_pose), np.std(distances + of_pose))  # F's sign is free
-
-    # Equal singular values weigh all entries of F alike, pixels do not: three to thirty times.
-    decomposed = pose_from_fundamental(estimate.F, synthetic.K, synthetic.K, p1, p2)
-    assert misfit_px(estimate.R, estimate.t) < 0.5 * misfit_px(decomposed.R, decomposed.t)
 
 
 def test_blurred_tangents_count_less():

@@ -6,13 +6,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ssac.fit.least_squares import Parameters, Problem, linearise, moved, solve
-from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
+from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, linearise, moved, solve
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods.joint import refine, sharp_pairs
 from ssac.methods.refinement import smooth_errors
 from ssac.rules import FitRules, JointRules
 from tests.ssac.methods.white import T_D_S, truth_of, white_views
-from tests.ssac.synthetic import OTHER, K, angle_deg, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.synthetic import OTHER, angle_deg, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=0)
 VIEWS = white_views(SCENE, 0.3)
@@ -23,20 +23,10 @@ def cramer_rao(scene, sigma_px, n=400):
     times_s = (np.arange(n) + 0.5) * scene.duration_s / n
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
-    R, t = scene.R, scene.t / np.linalg.norm(scene.t)
-    K_inverse = np.linalg.inv(K)
-    F = K_inverse.T @ cross_matrix(t) @ R @ K_inverse
-    y1, y2 = (np.column_stack([p, np.ones(n)]) @ K_inverse.T for p in (p1, p2))
-    lines_2, lines_1 = (
-        np.column_stack([p1, np.ones(n)]) @ F.T,
-        np.column_stack([p2, np.ones(n)]) @ F,
-    )
-    dE = [cross_matrix(t) @ cross_matrix(axis) @ R for axis in np.eye(3)]
-    dE += [cross_matrix(b) @ R for b in np.linalg.svd(t[None])[2][1:]]
-    by_pose = [np.einsum("ni,ij,nj->n", y2, derivative, y1) for derivative in dE]
-    J = np.column_stack([np.sum(lines_2[:, :2] * v2, axis=1), *by_pose])
-    s_squared = np.sum(lines_2[:, :2] ** 2, axis=1) + np.sum(lines_1[:, :2] ** 2, axis=1)
-    covariance = np.linalg.inv(J.T @ (J / (sigma_px**2 * s_squared)[:, None]))
+    pairs = WeighedPairs(times_s, p1, p2, v2, np.ones(n), T_D_S)
+    true = Parameters(T_D_S, scene.R, scene.t / np.linalg.norm(scene.t))
+    jacobian = linearise(Problem(pairs, scene.rig, FitRules()), true).jacobian
+    covariance = sigma_px**2 * np.linalg.inv(jacobian.T @ jacobian)
     angles = (np.sqrt(np.trace(covariance[part, part])) for part in (slice(1, 4), slice(4, 6)))
     return np.sqrt(covariance[0, 0]), *np.degrees(list(angles))
 

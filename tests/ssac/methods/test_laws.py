@@ -8,9 +8,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ssac import Chain, Config, Observation, SsacError
+from ssac import Chain, Config, Observation
 from ssac.camera import Rig
-from ssac.clock import Clock
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.pipeline.registry import METHODS, OURS, Input
 from tests.ssac.synthetic import OTHER, angle_deg, make_events, make_scene, rotation_angle_deg
@@ -53,9 +52,9 @@ def assert_near(estimate, t_d_s, R, t, within):
     assert angle_deg(estimate.t, t) <= within[2]
 
 
-def assert_same(one, other, but=()):
+def assert_same(one, other):
     for field in fields(one):
-        if field.compare and field.name not in but:
+        if field.compare:
             ours, theirs = getattr(one, field.name), getattr(other, field.name)
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
 
@@ -98,13 +97,8 @@ def test_a_world_twice_as_large_looks_the_same(name, chain):
     assert_same(Chain(seen, larger.rig, CONFIG).estimate(name), chain.estimate(name))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_result_repeats(name, chain, cameras):
-    assert_same(Chain(cameras, SCENE.rig, CONFIG).estimate(name), chain.estimate(name))
-
-
 @pytest.mark.parametrize("name", KNOWN)
-def test_a_known_pose_stays_as_it_is(name, chain, cameras):
+def test_a_known_pose_stays_as_it_is(name, chain):
     estimate = chain.estimate(name)
     assert np.array_equal(estimate.R, SCENE.R)
     assert estimate.t == pytest.approx(SCENE.t / np.linalg.norm(SCENE.t))
@@ -113,8 +107,6 @@ def test_a_known_pose_stays_as_it_is(name, chain, cameras):
     np.testing.assert_allclose(estimate.F, F / np.linalg.norm(F), atol=1e-12)
     if name in REFINING:
         assert 0.0 < estimate.t_d_std_s < 2e-3
-    with pytest.raises(SsacError, match=f"the rig: {name} needs the extrinsics"):
-        Chain(cameras, SCENE.unknown_rig, CONFIG).estimate(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -136,15 +128,3 @@ def test_a_start_that_is_there_need_not_be_searched_for(name, chain):
     assert_same(estimate, chain.estimate(name))
     assert estimate.start is not None
     assert start.method == method.starts_from
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_clock_that_shows_more_shifts_the_offset(name, cameras, chain):
-    plain, later_s = chain.estimate(name), 0.25
-    moved = replace(CONFIG, interval_s=tuple(bound_s + later_s for bound_s in CONFIG.interval_s))
-    late = Chain((cameras[0], cameras[1].delayed(later_s)), SCENE.rig, moved).estimate(name)
-    # Other roundings of times to whole microseconds, and of sums.
-    times_s = np.linspace(0.0, SCENE.duration_s, 5)
-    shift_s = late.clock.cam2_from_cam1(times_s) - plain.clock.cam2_from_cam1(times_s)
-    assert shift_s == pytest.approx(np.full(5, later_s), abs=WITHIN[name][0] / 4)
-    assert isinstance(late.clock, Clock)

@@ -36,14 +36,15 @@ def hidden(times_us, spans_us):
 
 
 def assert_found(times_us, starts_us, rate_hz, gap_us, within_us):
-    blind = blind_spans(times_us)
-    assert blind.period_s == pytest.approx(1.0 / rate_hz, rel=1e-3)
+    spans_us = blind_spans(times_us)
+    periods_us = np.diff(spans_us[:, 0])
+    assert np.median(periods_us) == pytest.approx(1e6 / rate_hz, rel=1e-2)  # events are some us off
     # Where the object is all but at rest at an end of the recording, nothing tells of one.
-    assert len(starts_us) - 6 <= len(blind.spans_us) <= len(starts_us)
-    nearest = np.abs(blind.spans_us[:, 0, None] - starts_us).min(axis=1)
+    assert len(starts_us) - 6 <= len(spans_us) <= len(starts_us)
+    nearest = np.abs(spans_us[:, 0, None] - starts_us).min(axis=1)
     # The last event before a readout is a few event times early; 0.5 ms are 25 at full speed.
     assert np.median(nearest) < 500.0
-    assert np.median(np.diff(blind.spans_us)) == pytest.approx(gap_us, abs=within_us)
+    assert np.median(np.diff(spans_us)) == pytest.approx(gap_us, abs=within_us)
 
 
 @pytest.mark.parametrize(
@@ -75,13 +76,12 @@ def test_readouts_are_found_among_noise(noise_hz):
 def test_spans_follow_the_clock():
     times_us, _ = without_frames(busy_times(2), 25.0, 10_000)
     here, there = blind_spans(times_us), blind_spans(times_us + 123_456_789)
-    np.testing.assert_array_equal(here.spans_us + 123_456_789, there.spans_us)
-    assert here.period_s == there.period_s
+    np.testing.assert_array_equal(here + 123_456_789, there)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 300.0, 3_000.0, 50_000.0, 500_000.0])
 def test_a_camera_without_frames_is_never_blind(rate_hz):
-    assert len(blind_spans(busy_times(3, rate_hz)).spans_us) == 0
+    assert len(blind_spans(busy_times(3, rate_hz))) == 0
 
 
 @pytest.mark.parametrize("events", [20, 100, 400])
@@ -93,10 +93,10 @@ def test_edges_that_cross_rows_at_once_are_no_readouts(events, swing):
     crossings_us = 1e6 * np.interp(np.arange(1.0, rows[-1]), rows, time_s)
     late_us = np.random.default_rng(4).uniform(0.0, 3_000.0, (len(crossings_us), events))
     volleys = np.rint((crossings_us[:, None] + late_us).ravel())
-    assert len(blind_spans(np.sort(volleys.astype(np.int64))).spans_us) == 0
+    assert len(blind_spans(np.sort(volleys.astype(np.int64)))) == 0
 
 
 def test_an_object_that_is_hidden_now_and_then_is_not_blindness():
     rng = np.random.default_rng(6)
     spans_us = [(at, at + rng.integers(3_000, 30_000)) for at in rng.integers(0, DURATION_US, 60)]
-    assert len(blind_spans(hidden(busy_times(5), spans_us)).spans_us) == 0
+    assert len(blind_spans(hidden(busy_times(5), spans_us))) == 0

@@ -10,7 +10,6 @@ from ssac.camera import READOUT_STD_S, Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.search.two_views import shutters_of
 from ssac.track.observation import tracked
-from tests.ssac import tracks
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track
 
@@ -79,24 +78,6 @@ def test_images_move_as_the_readout_says():
         assert np.nanmedian(errors) < 10.0
         assert np.nanmedian(np.linalg.norm(numeric[k], axis=1)) > 50.0
         assert np.all(by_readout[1 - k] == 0.0)
-
-
-def test_the_row_that_counts_is_the_one_that_the_lens_shows(monkeypatch):
-    """Far out, this lens moves points by a tenth of the image's height."""
-    monkeypatch.setattr(tracks, "NOISE_PX", 0.001)
-    bent = replace(UNKNOWN, distortion_model="radtan", distortion_coeffs=(-0.25, 0.05, 0.0, 0.0))
-    views = two_views(*flight(2, (0.01, 0.02)), Rig(bent, bent), CONFIG)
-    shutters, readouts_s, step_s = shutters_of(views), np.array([0.012, 0.017]), 1e-5
-    # At the points themselves: windows, which are of whole points, stay the same.
-    times_s = views.motion1.read_out(0.012).times_s[20:-20]
-    later, sooner = (views.motion1.read_out(0.012 + by_s).sharp_at(times_s).positions_px
-                     for by_s in (step_s, -step_s))  # fmt: skip
-    seen = shutters.views(views, readouts_s)
-    (by_readout, _), _ = shutters.moves(seen, (times_s, times_s))
-    far = np.abs(views.motion1.rows[20:-20] - 0.5) > 0.3
-    assert far.sum() > 30
-    errors = np.linalg.norm(by_readout - (later - sooner) / (2.0 * step_s), axis=1)
-    assert np.nanmedian(errors[far]) < 2.0  # px/s, of 50; ideal rows are off by 9
 
 
 def test_a_readout_is_set_anew_and_lies_between_none_and_a_frame():
