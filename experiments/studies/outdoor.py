@@ -136,13 +136,17 @@ def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
         row, found = OutdoorRow(str(answer.status), answer.reason), answer.cameras[1]
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
             path = answer.paths[0].path
-        std_deg = float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
     else:
         of_two, path = estimated(folders[0], truth, cell)
-        found, std_deg = of_two.estimate, of_two.estimate.t_std_deg
+        found = of_two.estimate
         row = OutdoorRow(str(found.status), found.reason)
     if path is None:
         return row
+    std_deg = (
+        found.t_std_deg
+        if isinstance(found, Estimate)
+        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
+    )
     shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
     placed = placed_errors(found, shown_s, truth.clock.skew_ppm, truth.R, truth.t)
     return replace(row, **placed, t_std_deg=std_deg, **_path_errors(path, truth, cell.flight))

@@ -232,7 +232,7 @@ class Scene:
 
     cause: Cause
     cell: KindCell
-    cache: Cache
+    cache: Any  # a Cache, whose code is none that a row depends on
 
     def made(self) -> OpenCase:
         """Record the flight, and spoil what was recorded."""
