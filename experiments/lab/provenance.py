@@ -94,4 +94,4 @@ def provenance(
 def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
     """Write a provenance that is made already beside a result."""
     with whole_file(path.with_suffix(".provenance.json")) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
+        temporary.write_text(json.dumps(plain(content), indent=1) + "\n")

@@ -2,11 +2,13 @@
 
 from collections import defaultdict
 from itertools import combinations
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from experiments.lab.grid import config_names, flight_seed, named_config
+from experiments.lab.provenance import write_provenance
 from experiments.lab.study import How
 from experiments.lab.verify import cells_of
 from experiments.studies import all_studies
@@ -47,6 +49,12 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
         number, base = cell.columns["flight"], cell.columns.get("base", 0)
         expected = flight_seed(sim.spline.duration_s, sim.angle_deg, number, base)
         assert seed == cell.columns["seed"] == expected
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_provenance_of_every_file_can_be_written(name: str, tmp_path: Path) -> None:
+    for file, config in STUDIES[name].provenances.items():
+        write_provenance(tmp_path / file, {"config": config})
 
 
 def test_flights_of_studies_are_their_own() -> None:
