@@ -110,7 +110,7 @@ POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 """Statuses of estimates whose offset holds all the same."""
 
 SETTLED_BY: dict[str, tuple[Status, ...]] = {
-    stage: tuple(status for word in words.split() for status in Status if status == word)
+    stage: tuple(Status[word.upper()] for word in words.split())
     for stage, words in {
         "joint": "ambiguous_offset ambiguous_pose degenerate_pose",
         "tangency": "ambiguous_offset degenerate_pose poor_fit",

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ssac.arrays import Array as Array
+from ssac.arrays import Array
 from ssac.camera import Camera, undistortion_map
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
