@@ -56,8 +56,12 @@ def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:
 
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
     """Lay rows out as Markdown: under each heading their columns, as "{runs:.0f}" shows them."""
-    cells = [[form.format(**row) for form in columns.values()] for row in records(rows)]
-    return markdown_table(list(columns), cells)
+    return markdown_table(list(columns), shown_cells(rows, columns))
+
+
+def shown_cells(rows: pd.DataFrame, columns: Mapping[str, str]) -> list[list[str]]:
+    """Give the cells of `shown_table`, row by row."""
+    return [[form.format(**row) for form in columns.values()] for row in records(rows)]
 
 
 def records(rows: pd.DataFrame) -> list[dict[str, Any]]:

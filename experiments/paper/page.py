@@ -19,7 +19,7 @@ from experiments.lab.markdown import (
     number,
     paragraph,
 )
-from experiments.lab.summary import records
+from experiments.lab.summary import records, shown_cells
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
     PUBLISHED_RUNS,
@@ -147,8 +147,7 @@ _DIFFERENCES = {
 
 
 def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
-    named = records(rows.assign(error=rows["quantity"].map(label)))
-    cells = [[form.format(**row) for form in columns.values()] for row in named]
+    cells = shown_cells(rows.assign(error=rows["quantity"].map(label)), columns)
     known = [[re.sub(r"\bnan\b", UNKNOWN, cell) for cell in row] for row in cells]
     return Table(list(columns), known)
 
