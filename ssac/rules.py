@@ -334,9 +334,8 @@ class MatchRules:
     firm_times: float = 8.0
     rounds: int = 3
     min_common_s: float = 1.5  # in which both views bear out one offset: less does by chance
-    min_share: float = (
-        0.5  # of the time both see anything; of those nine true 0.56 on, false < 0.62
-    )
+    # Of the time both see anything; of those nine recordings true ones have 0.56 on, false < 0.62.
+    min_share: float = 0.5
     rival: float = 0.7  # share of the best one's time of another offset that may be the true one
     clearly: float = 3.0  # times the best one's distance: such a rival is none
     least_distance_px: float = 0.1  # that counts as the best one's

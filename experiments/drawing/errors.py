@@ -54,9 +54,13 @@ _MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
 
 # Of an ablation's line, by the parameter that it stands for.
-_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}",
-          "sim.t_d_s": "offset {:g} s",
-          "ssac.rules.tangency.joins_body": "body joined: {}"}  # fmt: skip
+_NAMES = {
+    "sim.angle_deg": "{:g} deg",
+    "sim.spline.duration_s": "{:g} s",
+    "sim.drone": "{}",
+    "sim.t_d_s": "offset {:g} s",
+    "ssac.rules.tangency.joins_body": "body joined: {}",
+}
 _MARKERS = "osD^vPX"
 _DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
@@ -337,8 +341,9 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
 
     methods = method_order(means["method"])
-    labels = {name: error.label for name, error in ERRORS.items()
-              if means[f"{name}_mean"].notna().any()}  # fmt: skip
+    labels = {
+        name: error.label for name, error in ERRORS.items() if means[f"{name}_mean"].notna().any()
+    }
     if (means[FAILED] > 0).any():
         labels[FAILED] = "failed runs [%]"
     shape = len(methods), len(labels)
@@ -366,8 +371,15 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         Line2D([], [], color="0.4", ls="--" if on_axis else "none", label=said),
         *_named(STANDARD_ERROR, *([SURVIVORS] if FAILED in labels else [])),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3 if len(handles) <= 6 else 4,
-                  fontsize=8, frameon=False, title=grid.title, title_fontsize=12)  # fmt: skip
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=3 if len(handles) <= 6 else 4,
+        fontsize=8,
+        frameon=False,
+        title=grid.title,
+        title_fontsize=12,
+    )
     return figure
 
 

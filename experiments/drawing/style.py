@@ -29,10 +29,14 @@ _ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
 Named = tuple[str, dict[str, Any]]
 """Words and look of an entry of a legend."""
 
-STANDARD_ERROR: Named = ("bar: standard error of the mean",
-                         {"marker": "|", "ls": "none", "ms": 9, "mew": 1})  # fmt: skip
-SURVIVORS: Named = ("hollow: mean of so many, others refused",
-                    {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"})  # fmt: skip
+STANDARD_ERROR: Named = (
+    "bar: standard error of the mean",
+    {"marker": "|", "ls": "none", "ms": 9, "mew": 1},
+)
+SURVIVORS: Named = (
+    "hollow: mean of so many, others refused",
+    {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"},
+)
 
 
 @dataclass(frozen=True)

@@ -121,8 +121,10 @@ def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
 
 
 def _check_same(shared: Estimate, whole: Estimate) -> None:
-    compared = ((name, getattr(shared, name), getattr(whole, name))
-                for name in ("status", "n_samples", "t_d_s", "t_d_std_s", "R", "t"))  # fmt: skip
+    compared = (
+        (name, getattr(shared, name), getattr(whole, name))
+        for name in ("status", "n_samples", "t_d_s", "t_d_std_s", "R", "t")
+    )
     apart = [name for name, one, other in compared if not _is_alike(one, other)]
     if apart:
         raise ArithmeticError(

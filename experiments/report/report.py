@@ -81,8 +81,9 @@ def read_results(folder: Path) -> dict[str, Any]:
     with _made_by("make tables"):
         runs, compared = runs_of(results), comparison(results)
         made: dict[str, list[str]] = {}  # each way that results were made once, with their names
-        for name in sorted({"esim_20", *(one.name.split(".")[0]
-                                         for one in folder.glob(f"*{PROVENANCE}"))}):  # fmt: skip
+        for name in sorted(
+            {"esim_20", *(one.name.split(".")[0] for one in folder.glob(f"*{PROVENANCE}"))}
+        ):
             for entry in results.provenances(name):
                 made.setdefault(json.dumps(entry), []).append(name)
     figures = [(name, "", 0, _png(folder, name, command)) for name, command in _FIGURES.items()]

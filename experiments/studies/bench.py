@@ -91,9 +91,11 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     ]
     table = answered(table)
     for (sensor, step), of_step in table.groupby(["sensor", "step"], sort=False):
+        if len(of_step) < 2:
+            continue
         # What others take meanwhile is not in `cpu_s`; what start-up takes hides few events.
         grows = {"time": "cpu_s"} | ({"memory": "peak_mb"} if sensor == POINTS[-1].sensor else {})
-        for what, column in grows.items() if len(of_step) > 1 else ():
+        for what, column in grows.items():
             value = exponent(of_step["events_per_camera"], of_step[column])
             name = f"growth, {sensor}: {step}, {what} over events"
             rows.append(Measurement(name, value, "exponent", MARK_EXPONENT))
@@ -105,9 +107,9 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
             Measurement(f"{name}: {one['step']}", one["wall_s"], "s", mark_s),
             Measurement(f"{name}: {one['step']}, peak memory", one["peak_mb"], "MB", mark_mb),
         ]
-    return (
-        [*rows, Measurement(f"{name}: events per camera", most, "events")] if len(table) else rows
-    )
+    if len(table):
+        rows.append(Measurement(f"{name}: events per camera", most, "events"))
+    return rows
 
 
 def exponent(events: ArrayLike, values: ArrayLike) -> float:
@@ -167,8 +169,9 @@ def bench_faults(results: Results) -> list[str]:
     faults = []
     for row in records(table):
         verdict = row.pop("verdict")
+        verdict = "" if pd.isna(verdict) else verdict
         one = Measurement(**row)
-        if not 0.0 < one.value < np.inf or one.verdict != ("" if verdict != verdict else verdict):
+        if not 0.0 < one.value < np.inf or one.verdict != verdict:
             faults.append(f"{one.name} is {one.value:g}, and {verdict}")
     summed = growth_rows(results.table("bench_growth"))
     last = table.tail(len(summed))

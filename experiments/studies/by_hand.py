@@ -124,9 +124,10 @@ def hand_cells(
     drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
     return [
         HandCell(one, setting, every and setting != UNASKED)
-        for one in drawn_ones if kind in ("", one.kind)
+        for one in drawn_ones
+        if kind in ("", one.kind)
         for setting in SETTINGS
-    ]  # fmt: skip
+    ]
 
 
 @dataclass
@@ -235,24 +236,19 @@ def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
     shares, _ = held_shares(default, HELD)
-    row: dict[str, Any] = {
+    return {
         "recordings": len(default),
         "answered": int(given.sum()),
         "posed": int(default["pose_given"].astype(bool).sum()),
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
+        **shares,
+        "beyond": int(default["is_beyond"].sum()),
+        "worst": _worst(default),
+        "refused": _listed(default["status"][~given]),
+        "settings": _listed(default["settings"].explode()),
+        "cpu_s_median": default["cpu_s"].median(),
+        "cpu_s_most": default["cpu_s"].max(),
     }
-    return (
-        row
-        | shares
-        | {
-            "beyond": int(default["is_beyond"].sum()),
-            "worst": _worst(default),
-            "refused": _listed(default["status"][~given]),
-            "settings": _listed(default["settings"].explode()),
-            "cpu_s_median": default["cpu_s"].median(),
-            "cpu_s_most": default["cpu_s"].max(),
-        }
-    )
 
 
 def _worst(default: pd.DataFrame) -> str:

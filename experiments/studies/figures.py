@@ -133,6 +133,14 @@ def choose(names: Sequence[str]) -> dict[str, Made]:
 
 
 STUDIES = (
-    Study("figures", "The paper's figures", lambda: (), SCORED, None, _MADE,
-          config=config(), command=COMMAND),
-)  # fmt: skip
+    Study(
+        "figures",
+        "The paper's figures",
+        lambda: (),
+        SCORED,
+        None,
+        _MADE,
+        config=config(),
+        command=COMMAND,
+    ),
+)

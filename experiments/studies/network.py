@@ -440,24 +440,43 @@ GROWTH = (
         Runs(
             "network_growth.csv",
             ("duration_s",),
-            columns=("duration_s", "cameras", "points", "wall_s", "cpu_s", "pairs_s",
-                     "network_s", "peak_mb", "status", "t_d_error_ms", "path_rmse_m"),
+            columns=(
+                "duration_s",
+                "cameras",
+                "points",
+                "wall_s",
+                "cpu_s",
+                "pairs_s",
+                "network_s",
+                "peak_mb",
+                "status",
+                "t_d_error_ms",
+                "path_rmse_m",
+            ),
             numbered=False,
             took=("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb"),
         ),
         checks=(
             ("all flights are solved", one_of("network_growth", "status", "ok")),
             ("within the mark of time", between("network_growth", "wall_s", 0.0, MARK_S)),
-            ("the path errs by less than a point's noise",
-             between("network_growth", "path_rmse_m", 0.0, NOISE_PX * _DISTANCE_M / _FOCAL_PX)),
+            (
+                "the path errs by less than a point's noise",
+                between("network_growth", "path_rmse_m", 0.0, NOISE_PX * _DISTANCE_M / _FOCAL_PX),
+            ),
             ("within the mark of memory", between("network_growth", "peak_mb", 0.0, MARK_MB)),
         ),
-        config={"durations_s": DURATIONS_S, "cameras": N_FRAME_CAMERAS, "frames_hz": FRAMES_HZ,
-                "noise_px": NOISE_PX, "seed": _SEED, "spline": _SPLINE},
+        config={
+            "durations_s": DURATIONS_S,
+            "cameras": N_FRAME_CAMERAS,
+            "frames_hz": FRAMES_HZ,
+            "noise_px": NOISE_PX,
+            "seed": _SEED,
+            "spline": _SPLINE,
+        },
         command=COMMAND,
         how=How.ALONE,
     ),
-)  # fmt: skip
+)
 
 STUDIES = (*FOUR, *GROWTH)
 

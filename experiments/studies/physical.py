@@ -129,12 +129,15 @@ TABLES = (
     _study(10.0),
     _study(
         20.0,
-        Made("mini_comparison.csv", comparison,
-             config={f"mini_{one:g}": _config(one) for one in DURATIONS_S}),
+        Made(
+            "mini_comparison.csv",
+            comparison,
+            config={f"mini_{one:g}": _config(one) for one in DURATIONS_S},
+        ),
         reads=("mini_10.csv",),
         numbers={"table.mini": page_table, "table.mini.held": held_table},
     ),
-)  # fmt: skip
+)
 
 
 # --- What each fault costs ---
@@ -336,15 +339,18 @@ def latency_page(results: Results) -> str:
     table = results.table("light_latency").sort_values("light_ratio", kind="stable")
     apparent = table.pivot(index="light_ratio", columns="polarity", values="apparent_ms_mean")
     both = table[table["polarity"] == "both"].merge(apparent, on="light_ratio")
-    return shown_table(both.assign(sigma=both["t_d_std_ms"].map(digits)), {
-        "light 2 / 1": "{light_ratio:g}",
-        "apparent": "{both:.2f}",
-        "ON alone": "{on:.2f}",
-        "OFF alone": "{off:.2f}",
-        "stated 1 sigma": "{sigma}",
-        "half sum with its inverse": "{swapped_ms:.2f}",
-        "answered": "{answered} of {runs}",
-    })  # fmt: skip
+    return shown_table(
+        both.assign(sigma=both["t_d_std_ms"].map(digits)),
+        {
+            "light 2 / 1": "{light_ratio:g}",
+            "apparent": "{both:.2f}",
+            "ON alone": "{on:.2f}",
+            "OFF alone": "{off:.2f}",
+            "stated 1 sigma": "{sigma}",
+            "half sum with its inverse": "{swapped_ms:.2f}",
+            "answered": "{answered} of {runs}",
+        },
+    )
 
 
 LATENCY = Study(

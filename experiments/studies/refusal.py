@@ -217,9 +217,10 @@ def _cut(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
     """Cut both recordings where the clock is said to jump; each part has an offset of its own."""
     jump, t_d_s = estimate.jump, case.truth.t_d_s
     assert jump is not None
-    ends_s = (-np.inf, jump.at_s, jump.before_s, t_d_s), (
-        jump.at_s, np.inf, jump.after_s, t_d_s + open_flights.jump_of(scene)[1],
-    )  # fmt: skip
+    ends_s = (
+        (-np.inf, jump.at_s, jump.before_s, t_d_s),
+        (jump.at_s, np.inf, jump.after_s, t_d_s + open_flights.jump_of(scene)[1]),
+    )
     return [
         replace(
             case,

@@ -185,9 +185,10 @@ def required_cells() -> list[RequiredCell]:
             # The angles in the middle first, for scenes of few flights.
             of_angle = replace(sim, angle_deg=ANGLES_DEG[(2 + index) % len(ANGLES_DEG)])
             kinds = [
-                name for name, required in KINDS.items()
+                name
+                for name, required in KINDS.items()
                 if required.kind.scene == scene and index < flights_of(required.kind)
-            ]  # fmt: skip
+            ]
             flights = (flight, flight + OTHER_FLIGHT)
             cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,), RequiredCell)
     return cells

@@ -151,11 +151,16 @@ def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
     """Give the bench without any imperfection: the drone hangs level before an even wall."""
     spline = SplineConfig(duration_s=duration_s)
     sim = TwinConfig(
-        angle_deg=angle_deg, spline=spline, setup_seed=setup_seed, turning=False, textured=False,
-        sampling=SAMPLING, render=RENDER,
+        angle_deg=angle_deg,
+        spline=spline,
+        setup_seed=setup_seed,
+        turning=False,
+        textured=False,
+        sampling=SAMPLING,
+        render=RENDER,
         sensor=SensorConfig(PRESET.sensor.threshold_on, PRESET.sensor.threshold_off),
         effects=SensorEffects(illuminance_lux=PRESET.effects.illuminance_lux),
-    )  # fmt: skip
+    )
     return SetUp(sim)
 
 

@@ -120,11 +120,14 @@ def drawn(base: int, flight: int, far: float = 0.5) -> OddCell:
     size_px = round(_log_uniform(rng, *draw.size_px), 1)
     sensor = str(rng.choice(draw.sensors))
     sim = SimConfig(
-        angle_deg=angle_deg, t_d_s=_offset_s(rng, far if draw.far is None else draw.far),
+        angle_deg=angle_deg,
+        t_d_s=_offset_s(rng, far if draw.far is None else draw.far),
         spline=_spline(rng, duration_s, distance_m, size_px),
-        drone_size_m=round(size_px * distance_m / draw.focal_px, 3), distance_m=distance_m,
-        focal_px=draw.focal_px, frames=FrameConfig(rate_hz=0.0),
-    )  # fmt: skip
+        drone_size_m=round(size_px * distance_m / draw.focal_px, 3),
+        distance_m=distance_m,
+        focal_px=draw.focal_px,
+        frames=FrameConfig(rate_hz=0.0),
+    )
     if sensor != IDEAL:
         preset = sensor_preset(sensor)
         sim = replace(sim, sensor=preset.sensor, effects=preset.effects)

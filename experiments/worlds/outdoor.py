@@ -59,15 +59,25 @@ _OF_TRUTH = 4  # truth's samples, at 200 Hz, from one of a true track to the nex
 def outdoor_config(duration_s: float = DURATION_S) -> SimConfig:
     """Give the simulated set-up."""
     spline = SplineConfig(
-        duration_s=duration_s, sampling_hz=1.0, segments_per_s=1.0,
+        duration_s=duration_s,
+        sampling_hz=1.0,
+        segments_per_s=1.0,
         smoothing=2.0,  # s^3: turns within some seconds, at 5 m/s or so
-        multiplier_xyz_m=(14.0, 36.0, 10.0), multiplier_rot_rad=(0.5, 0.5, 2.0), max_radius_m=24.0,
-    )  # fmt: skip
+        multiplier_xyz_m=(14.0, 36.0, 10.0),
+        multiplier_rot_rad=(0.5, 0.5, 2.0),
+        max_radius_m=24.0,
+    )
     return SimConfig(
         angle_deg=float(np.rad2deg(2.0 * np.arcsin(BASELINE_M / (2.0 * DISTANCE_M)))),
-        t_d_s=T_D_S, skew_ppm=SKEW_PPM, spline=spline, drone_size_m=0.5, distance_m=DISTANCE_M,
-        focal_px=FOCAL_PX, sensor=PRESETS["davis346"], frames=FrameConfig(rate_hz=0.0),
-    )  # fmt: skip
+        t_d_s=T_D_S,
+        skew_ppm=SKEW_PPM,
+        spline=spline,
+        drone_size_m=0.5,
+        distance_m=DISTANCE_M,
+        focal_px=FOCAL_PX,
+        sensor=PRESETS["davis346"],
+        frames=FrameConfig(rate_hz=0.0),
+    )
 
 
 def third_config(config: SimConfig) -> SimConfig:

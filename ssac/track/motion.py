@@ -119,7 +119,8 @@ class ObjectMotion:
         `max_border_fraction` lie on the border (Sec. IV-A), and does not reach into a gap.
         """
         sliced = self.times_us, self.slice_bits, self.slice_starts
-        sums, n = (self.position_sums_px, self.border_sums), (1, *times_s.shape)[-1]
+        sums = self.position_sums_px, self.border_sums
+        n = times_s.shape[-1] if times_s.ndim else 1
         positions_px, counts, on_border = window_sums(
             sliced, sums, times_s.ravel(), self.half_window_s, n
         )

@@ -205,8 +205,11 @@ def make_means(grid: GridConfig) -> pd.DataFrame:
     rng = np.random.default_rng(0)
     rows = []
     for point in product(*grid.axes):
-        parameters = {name: str(value) if isinstance(value, list) else value
-                      for part in point for name, value in part.items()}  # fmt: skip
+        parameters = {
+            name: str(value) if isinstance(value, list) else value
+            for part in point
+            for name, value in part.items()
+        }
         for method in grid.methods:
             row = {**parameters, "method": method, "n_runs": 10, "failed": 0}
             for error in ERRORS:

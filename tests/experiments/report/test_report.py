@@ -132,8 +132,9 @@ def test_the_headline_is_computed() -> None:
     joint = runs["method"] == "joint"
     runs.loc[joint, ["t_d_error_ms", "r_error_deg", "t_error_deg"]] = [0.0625, 0.25, 0.125]
     verdicts = ["agrees", "better", "differs", "agrees"]
-    compared = pd.DataFrame({"quantity": "ssac_t_d_error_ms", "published_mean": [0.5, 0.25] * 2,
-                             "verdict": verdicts})  # fmt: skip
+    compared = pd.DataFrame(
+        {"quantity": "ssac_t_d_error_ms", "published_mean": [0.5, 0.25] * 2, "verdict": verdicts}
+    )
     found = headline(runs, compared)
     assert (found["best"], found["best_errors"]) == ("joint", [0.0625, 0.25, 0.125])
     assert found["ours"] == runs.loc[runs["method"] == "ssac", "t_d_error_ms"].mean()

@@ -259,11 +259,14 @@ def test_hot_pixels() -> None:
     assert np.log(hot).std() == pytest.approx(0.7, abs=5 * 0.7 / 400**0.5)
 
 
-@pytest.mark.parametrize("config", [
-    SensorConfig(refractory_s=0.002),
-    SensorConfig(refractory_s=0.002, shot_noise_hz=300.0, leak_hz=20.0),
-    SensorConfig(refractory_s=0.01, hot_pixel_share=0.5, hot_pixel_hz=200.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "config",
+    [
+        SensorConfig(refractory_s=0.002),
+        SensorConfig(refractory_s=0.002, shot_noise_hz=300.0, leak_hz=20.0),
+        SensorConfig(refractory_s=0.01, hot_pixel_share=0.5, hot_pixel_hz=200.0),
+    ],
+)
 def test_no_two_events_of_a_pixel_within_the_dead_time(config: SensorConfig) -> None:
     video, times_s = smooth_video(150, 20, 30), 1e-3 * np.arange(150)
     events = events_from_frames(video, times_s, config)
