@@ -165,11 +165,6 @@ class Views(NamedTuple):
         """Return some of the instants."""
         return Views(**{name: values[which] for name, values in self._asdict().items()})
 
-    def of_whole_images(self, camera: Camera) -> "Views":
-        """Return them with the whole image as the crop of each."""
-        boxes = np.tile([0, 0, camera.width, camera.height], (len(self.boxes), 1))
-        return self._replace(boxes=boxes)
-
     def crop_size(self) -> tuple[int, int]:
         """Width and height [px] of the smallest crop that is large enough for every box."""
         width, height = (self.boxes[:, 2:] - self.boxes[:, :2]).max(axis=0)

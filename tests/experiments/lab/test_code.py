@@ -78,7 +78,6 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
         ("ssac/pipeline/plots.py", "import", "import os\nimport", set()),
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
-        ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
         ("experiments/lab/score.py", "1e3", "1e6", {"runs"}),
         ("experiments/lab/recorded.py", "denoised=True", "denoised=False", {"runs"}),
         # An edit of a lock, a checksum, the cache, the schedule, a drawing or a summary.

@@ -44,7 +44,9 @@ def full_frames(*scene: Any) -> Image:
     drone, camera, times_s, T_W_B, background, config = scene
     painter, every = GLPainter(drone, config), np.arange(len(times_s))
     seen = footprint(drone, camera, times_s, T_W_B)
-    whole = plan_views(drone, camera, seen, every, times_s, T_W_B).of_whole_images(camera)
+    whole = plan_views(drone, camera, seen, every, times_s, T_W_B)._replace(
+        boxes=np.tile([0, 0, camera.width, camera.height], (len(every), 1))
+    )
     each = (whole.chosen(slice(k, k + 1)) for k in every)
     zero = np.zeros((1, 2), np.int64)
     return np.concatenate([painter.paint(camera, view, zero, background) for view in each])

@@ -13,10 +13,10 @@ from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.gl_context import BACKENDS, open_context
-from sim.render.gl_reference import StockPyrender
 from sim.render.lattice import Lattice
 from sim.scene.drone import Drone
 from tests.sim.render.drawing import BOX, BRIGHT, HALF_VGA, QUADROTOR, full_frames, rendered
+from tests.sim.render.stock_pyrender import StockPyrender
 from tests.sim.scenes import LENSES, Image, grey, make_camera, noise_image, painted, poses, tumbling
 
 
