@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from experiments.drawing.style import WIDTH_IN, quiet_axes
+from ssac.arrays import Array
 from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
@@ -26,7 +27,6 @@ from ssac.pipeline.plots import (
     POLARITIES,
     YELLOW,
     ZOOM_S,
-    Array,
     Material,
     d_avg_px,
     draw_epipolar,
