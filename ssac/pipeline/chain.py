@@ -197,7 +197,7 @@ class Chain:
     def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
         """Answer as asked; or, where that gives nothing, as what is seen may be seen otherwise."""
         answer = self._asked(method, places, config)
-        if answer.estimate.has_offset or method.input is not Input.TRACKS:
+        if answer.estimate.status == Status.OK or method.input is not Input.TRACKS:
             return answer
         if retries.is_faint(self.config, answer.cleans, answer.estimate) and method.runs:
             answer = self._of_faint(method, places, answer)

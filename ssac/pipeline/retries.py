@@ -126,14 +126,17 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
         and found.status in SETTLED_BY["closer"]
     ):
         yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
-    if not _has_usual_windows(asked) or found.status not in SETTLED_BY["few events"]:
+    if not _has_usual_windows(asked):
         return
-    yield replace(asked, half_window_s=rules.retry.longer_s)
-    yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
-    backgrounds_hz = [
-        0.0 if one.clutter is None else one.clutter.background_hz for one in of_events
-    ]
-    if max(backgrounds_hz) < rules.retry.quiet_hz:
+    backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
+    is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
+    is_thin = found.status in SETTLED_BY["few events"]
+    if is_thin:
+        yield replace(asked, half_window_s=rules.retry.longer_s)
+    if is_thin or (is_noisy and found.status in SETTLED_BY["noise"]):
+        # Less of the object goes with the noise.
+        yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
+    if is_thin and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
 

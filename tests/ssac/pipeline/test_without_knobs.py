@@ -7,9 +7,11 @@ import pytest
 
 import ssac
 from ssac.camera import Camera, Rig
+from ssac.config import Config
 from ssac.estimate import Estimate, Status
-from ssac.pipeline.retries import by_several
+from ssac.pipeline.retries import by_several, other_ways
 from ssac.track.clean import ObjectsUsed
+from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, denoised, make_events, make_scene
 from tests.ssac.tracks import frame_track
@@ -171,6 +173,26 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     else:
         assert result.status == Status.NO_MOTION
         assert "0.25 Hz of each pixel hides it" in result.estimate.reason
+
+
+@pytest.mark.parametrize(
+    ("status", "noise_hz", "asked", "is_tried"),
+    [
+        (Status.POOR_FIT, 0.1, Config(), True),
+        (Status.DEGENERATE_POSE, 0.1, Config(), True),
+        (Status.TOO_FEW_SAMPLES, 0.0, Config(), True),
+        (Status.POOR_FIT, 0.0, Config(), False),
+        (Status.SEARCH_BOUND, 0.1, Config(), False),
+        (Status.POOR_FIT, 0.1, Config(n_min=50), False),
+    ],
+)
+def test_less_is_filtered_where_noise_may_explain_a_refusal(
+    events, status, noise_hz, asked, is_tried
+):
+    clutter = Clutter(0, 0, noise_hz, 5.0, 20, 200)
+    seen = tuple(replace(denoised(one), clutter=clutter) for one in events)
+    ways = list(other_ways(asked, seen, Estimate("joint", status, "why")))
+    assert any(way.n_neighbours == 3 and way.n_min == 8 for way in ways) is is_tried
 
 
 @pytest.mark.parametrize(
