@@ -2,11 +2,13 @@
 
 import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -26,6 +28,20 @@ def test_every_command_is_where_the_table_says_with_a_summary_of_one_line():
     groups = [entry.group for entry in cli.COMMANDS]
     assert groups == sorted(groups, key=("Use", "Reproduce").index)
     assert names[:3] == ["simulate", "sync", "demo"]
+
+
+def test_make_calls_commands_and_studies_that_there_are(monkeypatch, capsys):
+    makefile = Path("Makefile").read_text()
+    called = re.findall(r"\.venv/bin/ssac ([\w-]+)", makefile)
+    assert called
+    assert set(called) <= {entry.name for entry in cli.COMMANDS}
+    monkeypatch.setattr(sys, "argv", ["ssac", "study", "--list"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    listed = {line.split()[0] for line in capsys.readouterr().out.splitlines()}
+    studied = re.findall(r"ssac study (.+)", makefile)
+    assert studied
+    assert {name for names in studied for name in names.split()} <= listed
 
 
 @pytest.mark.parametrize(
