@@ -163,9 +163,7 @@ def blurred_crops(
 
 
 @njit(cache=True, nogil=True)
-def _blur(  # type: ignore[no-untyped-def]
-    sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights, out
-):
+def _blur(sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights, out):
     """Add the blurred difference from the background to the blurred background, row by row."""
     n, height, width = out.shape
     reach = weights.size // 2
@@ -211,7 +209,7 @@ def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True)
-def _serve(t_us, service_us, queue):  # type: ignore[no-untyped-def]
+def _serve(t_us, service_us, queue):
     stamps_us = np.empty(t_us.size, np.int64)
     is_read = np.zeros(t_us.size, np.bool_)
     free_us = -np.inf  # when all that waits has been read out
@@ -255,7 +253,7 @@ class _NoisyImages:
 
 
 @njit(cache=True, nogil=True)
-def _add_noise(image, draws, mean, deviation, quantiles, noisy):  # type: ignore[no-untyped-def]
+def _add_noise(image, draws, mean, deviation, quantiles, noisy):
     """Draw each pixel's level, all flat; 12 bits of a draw make one pixel's noise."""
     per_draw = 64 // _BITS
     for d in range(draws.size):

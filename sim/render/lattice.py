@@ -144,7 +144,7 @@ def runs_of_tile(
 
 
 @njit(cache=True, nogil=True)
-def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-untyped-def]
+def _number_samples(columns, a, b, width, height, pixel_of):
     """Write each pixel's number at its samples, given those of the first pixel of the tile."""
     for j in range(height):
         for i in range(width):
@@ -155,9 +155,7 @@ def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True)
-def _average_tile(  # type: ignore[no-untyped-def]
-    tile, columns, a, b, n_samples, background, luminance
-):
+def _average_tile(tile, columns, a, b, n_samples, background, luminance):
     for j in range(luminance.shape[0]):
         for i in range(luminance.shape[1]):
             total = np.int64(0)
@@ -169,7 +167,7 @@ def _average_tile(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _mixed(total, n_samples, background):  # type: ignore[no-untyped-def]
+def _mixed(total, n_samples, background):
     """Turn a pixel's sum of words into luminance, over the background."""
     n, scale = np.float32(n_samples), np.float32(1.0 / (FULL_CODE * n_samples))
     codes = total & ((np.int64(1) << COUNT_BIT) - 1)
@@ -179,9 +177,7 @@ def _mixed(total, n_samples, background):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def sum_runs(  # type: ignore[no-untyped-def]
-    keys, touched, width, height, run_of, run_start, run_pixel, sums
-):
+def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
     """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
     for v in range(height):
         low, high = touched[v, 0], touched[v, 1]
@@ -206,7 +202,7 @@ def sum_runs(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def average_block(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
+def average_block(sums, width, n_samples, background, image):
     """Turn sums of words into luminance, over the background, and empty them."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):

@@ -44,9 +44,7 @@ def grown(events: NDArray[Any]) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True)
-def _move_out(  # type: ignore[no-untyped-def]
-    events, n, before_us, width, height, taken, key
-):
+def _move_out(events, n, before_us, width, height, taken, key):
     """Move the events before a time to `taken`, with the key to sort them by."""
     n_taken = 0
     for i in range(n):
@@ -84,7 +82,7 @@ SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
 
 
 @njit(cache=True, nogil=True)
-def process_ideal(  # type: ignore[no-untyped-def]
+def process_ideal(
     times_s, x0_px, y0_px, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
@@ -103,7 +101,7 @@ def process_ideal(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _follow_light(  # type: ignore[no-untyped-def]
+def _follow_light(
     first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
@@ -170,7 +168,7 @@ def _follow_light(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def process_noisy(  # type: ignore[no-untyped-def]
+def process_noisy(
     times_s, x0_px, y0_px, luminance, background, time_s, box,
     image, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     events, n,
@@ -214,7 +212,7 @@ def process_noisy(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _follow(  # type: ignore[no-untyped-def]
+def _follow(
     y, x, t0, t1, i0, i1, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     events, n,
 ):  # fmt: skip
@@ -266,7 +264,7 @@ def _follow(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: ignore[no-untyped-def]
+def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):
     """Find when the light next passes a threshold: (time [s], is ON), infinity if not before t1."""
     shrink = decay(leak * (t1 - t))
     for polarity in (True, False):
@@ -286,18 +284,18 @@ def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def decay(x):  # type: ignore[no-untyped-def]
+def decay(x):
     """Return exp(-x); between two instants x is tiny, and the series is exact to rounding."""
     return 1.0 - x * (1.0 - 0.5 * x * (1.0 - x / 3.0)) if x < 1e-4 else np.exp(-x)
 
 
 @njit(cache=True, nogil=True)
-def _waiting_time(state, shot_hz, background_hz):  # type: ignore[no-untyped-def]
+def _waiting_time(state, shot_hz, background_hz):
     return -np.log(1.0 - uniform(state)) / (shot_hz + background_hz + state.hot_hz)
 
 
 @njit(cache=True, nogil=True)
-def uniform(state):  # type: ignore[no-untyped-def]
+def uniform(state):
     """Draw from [0, 1): SplitMix64 (Steele et al., OOPSLA 2014), one stream for each pixel."""
     state.random += np.uint64(0x9E3779B97F4A7C15)
     z = state.random
