@@ -16,7 +16,6 @@ from sim.recording import simulate, stream
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_to_csv
-from sim.seeds import generator, sequence
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from tests.sim.scenes import QUICK, counts
@@ -204,8 +203,8 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
         batches = [n for what, n in mine if what == "events"]
         assert sum(batches) == len(camera.events)
         assert max(batches) < 0.5 * sum(batches)
-        first_events = mine.index(next(call for call in mine if call[0] == "events"))
-        assert ("frame", 49) in mine[first_events:]
+        first, *_, last = (k for k, (what, _) in enumerate(mine) if what == "events")
+        assert {("frame", 10), ("frame", 40)} <= {*mine[first:last]}
         assert mine[-1] == ("close", 50)
 
 
@@ -221,11 +220,6 @@ def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm: 
     np.testing.assert_allclose(drift.added_us(times_us), expected_us, rtol=0, atol=0.5 + 1e-6)
     dense_us = np.arange(0, 50_000)
     assert np.diff(dense_us + drift.added_us(dense_us)).min() >= 0
-
-
-def test_a_jump_adds_its_size_from_its_time_on() -> None:
-    added_us = Drift(jump=(0.5, 0.02)).added_us(np.array([0, 499_999, 500_000, 900_000]))
-    np.testing.assert_array_equal(added_us, [0, 0, 20_000, 20_000])
 
 
 def test_a_drifting_clock_changes_the_stamps_of_camera_2_and_nothing_else() -> None:
@@ -245,10 +239,3 @@ def test_a_drifting_clock_changes_the_stamps_of_camera_2_and_nothing_else() -> N
     moved = drifting.cameras[1].events.copy()
     moved["t"] += 12_346
     np.testing.assert_array_equal(shifted.cameras[1].events, moved)
-
-
-def test_a_stream_is_the_branch_that_numpy_spawns() -> None:
-    branch = np.random.SeedSequence(5).spawn(4)[3].spawn(2)[1]
-    np.testing.assert_array_equal(sequence(5, 3, 1).generate_state(8), branch.generate_state(8))
-    expected = np.random.default_rng(branch).random(100)
-    np.testing.assert_array_equal(generator(5, 3, 1).random(100), expected)
