@@ -9,13 +9,12 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.render.renderer import Crops
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.rig import Camera, two_view_rig
 from sim.scene.trajectory import SplineConfig
 
 Array = NDArray[np.float64]
@@ -103,23 +102,6 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
             x0, y0 = crop.x0_px[k], crop.y0_px[k]
             images[i, y0 : y0 + height, x0 : x0 + width] = crop.luminance[k]
     return images
-
-
-def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
-    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
-    change_us = round(1e6 * t_d_s) - round(1e6 * recording.truth.t_d_s)
-    second = recording.cameras[1]
-    camera = replace(second.camera, time_offset_s=t_d_s)
-    events = second.events.copy()
-    events["t"] += change_us
-    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
-    others = recording.cameras[2:]
-    return replace(
-        recording,
-        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
-        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
-        truth=replace(recording.truth, t_d_s=t_d_s),
-    )
 
 
 def smooth_video(n: int, height: int, width: int, seed: int = 0) -> NDArray[np.float32]:
