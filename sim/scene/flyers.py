@@ -226,7 +226,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     """
     check_size(size_m)
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
-    propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))
+    propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))  # type: ignore[no-untyped-call]
     wheel = prism(6, radius=0.03, length=0.018)
     wheel.apply_transform(pose((0.17, 0.0, -0.125), yaw_rad=np.pi / 2, pitch_rad=np.pi / 2))
     wings = [
@@ -241,7 +241,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
         for side in (1, -1)
     ]
     fin = panel(FIN)
-    fin.apply_transform(rotation_matrix(np.pi / 2, (1, 0, 0)))
+    fin.apply_transform(rotation_matrix(np.pi / 2, (1, 0, 0)))  # type: ignore[no-untyped-call]
     pieces = (
         (hexagonal_hull(FUSELAGE), 0.24),
         (hexagonal_hull(CANOPY), 0.06),
