@@ -222,7 +222,7 @@ def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[A
     first = _seen(sky, view, np.zeros((1, 2)))[0]
     chunks = (times_s[start : start + _BATCH] for start in range(0, n, _BATCH))
     frames = ((chunk, _seen(sky, view, -np.multiply.outer(chunk, drift))) for chunk in chunks)
-    return slow_events(first, frames, view.duration_s, SensorConfig(), rng, rng)
+    return slow_events(first, frames, SensorConfig(), rng, rng)
 
 
 def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
@@ -314,9 +314,6 @@ def wrong_intrinsics(
     return wrong, deviations_px
 
 
-Progress = Callable[[float], None]
-
-
 def record_disturbed(
     config: SimConfig,
     disturb: DisturbConfig,
@@ -324,7 +321,7 @@ def record_disturbed(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 

@@ -28,7 +28,7 @@ from sim.recorded import (
 )
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.footprint import choose_instants
-from sim.render.renderer import Renderer
+from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
@@ -228,7 +228,7 @@ def _record(
     sensor: Sensor | None = None
     T_W_B = PosesAt(scene.trajectory, instants_s)
     for crops in map(effects.through_lens, renderer.crops(camera, instants_s, T_W_B, sharp)):
-        exposer.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
+        exposer.feed(*crops)
         if sensor is None:
             starts = crops.times_s[0] == start_s  # in view from the start
             image = background.copy()
@@ -237,9 +237,9 @@ def _record(
                 y0, x0 = crops.y0_px[0], crops.x0_px[0]
                 image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
             sensor = effects.start_sensor(image, start_s, rng, background)
-            crops = crops.since(1 if starts else 0)
+            crops = Crops._make(values[int(starts) :] for values in crops)
         if len(crops.times_s):
-            sensor.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
+            sensor.feed(*crops)
             hand_on(sensor.take_settled())
             report(float(crops.times_s[-1]))
     if sensor is None:  # never in view

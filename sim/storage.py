@@ -129,12 +129,7 @@ def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path)
     with path.open("w", encoding="ascii") as file:
         file.write(f"{camera.width} {camera.height}\n")
         for events in blocks:
-            seconds, microseconds = np.divmod(np.abs(events["t"]), 1_000_000)
-            sign = np.where(events["t"] < 0, "-", "")
-            rows = zip(
-                sign, seconds, microseconds, events["x"], events["y"], events["p"], strict=True
-            )
-            file.writelines(f"{m}{s}.{us:06d} {x} {y} {p}\n" for m, s, us, x, y, p in rows)
+            file.writelines(f"{t / 1e6:.6f} {x} {y} {p}\n" for t, x, y, p in events.tolist())
 
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
@@ -235,25 +230,19 @@ def _whole_folder(out_dir: Path) -> Iterator[Path]:
         existing = next(folder for folder in out_dir.parents if folder.exists())
         partial = partial_path(existing, out_dir.name)
         partial.mkdir()
+        try:
+            yield partial
+            check_out_dir(out_dir)  # the block may have taken minutes
+            if out_dir.is_dir():  # and stays the same one: it may be somebody's working directory
+                for path in sorted(partial.iterdir()):
+                    path.rename(out_dir / path.name)
+            else:
+                out_dir.parent.mkdir(parents=True, exist_ok=True)
+                partial.rename(out_dir)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
-        raise _unwritable(out_dir, error) from error
-    try:
-        yield partial
-        check_out_dir(out_dir)  # the block may have taken minutes
-        if out_dir.is_dir():  # and stays the same one: it may be somebody's working directory
-            for path in sorted(partial.iterdir()):
-                path.rename(out_dir / path.name)
-        else:
-            out_dir.parent.mkdir(parents=True, exist_ok=True)
-            partial.rename(out_dir)
-    except OSError as error:
-        raise _unwritable(out_dir, error) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def _unwritable(out_dir: Path, error: OSError) -> SimError:
-    return SimError(f"cannot write the recording to {out_dir}: {error}")
+        raise SimError(f"cannot write the recording to {out_dir}: {error}") from error
 
 
 def _truth(flight: Flight, n_events: tuple[int, ...]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ mirror its file.
 """
 
 import argparse
-import ast
 import os
 import shutil
 import subprocess
@@ -90,24 +89,13 @@ def _take_kernels(ours: Path, theirs: Path) -> None:
         shutil.copy2(kept, theirs.parent / "__pycache__")
 
 
-def is_compiled(text: str, old: str) -> bool:
-    """Whether a text stands in a kernel, or is a constant that a kernel may take in."""
-    if "njit" not in text:
-        return False
-    first = text[: text.index(old)].count("\n") + 1
-    for node in ast.parse(text).body:
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and first <= (node.end_lineno or 0):
-            return first < node.lineno or any("njit" in ast.dump(by) for by in node.decorator_list)
-    return True
-
-
 def verdict(mutant: Mutant, tree: Path) -> str:
     """Make an error in a copy of the tree, run its tests there, and take it back."""
     path, mutated = tree / mutant.file, mutant.mutated(tree)
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
     with tempfile.TemporaryDirectory(dir=tree.parent) as own_cache:
-        # Kernels that call the one with the error do not know of its change.
-        cache = own_cache if is_compiled(text, mutant.old) else None
+        # Kernels that call one with the error do not know of its change.
+        cache = own_cache if "njit" in text else None
         try:
             path.write_text(mutated, encoding="utf-8")
             code, said = _tested(tree, mutant.arguments(tree), cache)

@@ -1,31 +1,19 @@
 """The scripts of docs/ do what the pages say of them."""
 
-import importlib.util
 import re
 import runpy
 from contextlib import nullcontext
 from pathlib import Path
 from textwrap import dedent
-from types import ModuleType
 
 import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from docs import example, track_video
+
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def _script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-example, track_video = (_script(name) for name in ("example", "track_video"))
 
 
 @pytest.mark.render

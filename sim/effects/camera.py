@@ -163,9 +163,7 @@ def blurred_crops(
 
 
 @njit(cache=True, nogil=True)
-def _blur(  # type: ignore[no-untyped-def]
-    sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights, out
-):
+def _blur(sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights, out):
     """Add the blurred difference from the background to the blurred background, row by row."""
     n, height, width = out.shape
     reach = weights.size // 2
@@ -211,7 +209,7 @@ def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True)
-def _serve(t_us, service_us, queue):  # type: ignore[no-untyped-def]
+def _serve(t_us, service_us, queue):
     stamps_us = np.empty(t_us.size, np.int64)
     is_read = np.zeros(t_us.size, np.bool_)
     free_us = -np.inf  # when all that waits has been read out
@@ -246,24 +244,9 @@ class _NoisyImages:
             variance += levels / effects.frame_full_well_e
         deviation = np.sqrt(variance)
         draws = self._rng.integers(0, 2**64, -(-image.size // (64 // _BITS)), np.uint64)
-        noisy = np.empty_like(image)
-        _add_noise(
-            image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
-            (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
-        )  # fmt: skip
-        self._images[k] = noisy
-
-
-@njit(cache=True, nogil=True)
-def _add_noise(image, draws, mean, deviation, quantiles, noisy):  # type: ignore[no-untyped-def]
-    """Draw each pixel's level, all flat; 12 bits of a draw make one pixel's noise."""
-    per_draw = 64 // _BITS
-    for d in range(draws.size):
-        bits = draws[d]
-        for i in range(d * per_draw, min((d + 1) * per_draw, image.size)):
-            quantile = quantiles[bits & np.uint64((1 << _BITS) - 1)]
-            bits >>= np.uint64(_BITS)
-            level = mean[image[i]] + deviation[image[i]] * quantile
-            noisy[i] = np.uint8(
-                min(max(level, np.float32(0.0)), np.float32(255.0)) + np.float32(0.5)
-            )
+        # 12 bits of a draw make one pixel's noise.
+        bits = draws[:, None] >> np.arange(0, 64 - _BITS + 1, _BITS, dtype=np.uint64)
+        drawn = _QUANTILES[bits & np.uint64(len(_QUANTILES) - 1)].ravel()[: image.size]
+        mean, deviation = (_FULL_SCALE * np.array([levels, deviation])).astype(np.float32)
+        noisy = mean[image] + deviation[image] * drawn.reshape(image.shape)
+        self._images[k] = (np.clip(noisy, 0.0, _FULL_SCALE) + np.float32(0.5)).astype(np.uint8)

@@ -36,7 +36,7 @@ class Course(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def course_of(t0, t1, i0, i1, signal, rates):  # type: ignore[no-untyped-def]
+def course_of(t0, t1, i0, i1, signal, rates):
     """Say how a pixel's signal goes while its luminance goes linearly from i0 to i1."""
     slope = (i1 - i0) / (t1 - t0)
     k, c = 0.0, 0.0
@@ -54,7 +54,7 @@ def course_of(t0, t1, i0, i1, signal, rates):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def receptor(t, course):  # type: ignore[no-untyped-def]
+def receptor(t, course):
     """Give P, the photoreceptor's signal without flicker."""
     since_s = t - course.t0
     light = course.i0 + course.slope * since_s
@@ -64,7 +64,7 @@ def receptor(t, course):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def signal_at(t, course):  # type: ignore[no-untyped-def]
+def signal_at(t, course):
     """Give P with the lamps' flicker."""
     signal = receptor(t, course)
     if course.depth > 0.0:
@@ -73,7 +73,7 @@ def signal_at(t, course):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn_of(course):  # type: ignore[no-untyped-def]
+def turn_of(course):
     """Find when P has its extremum; infinity where it has none."""
     if course.k == 0.0 or course.slope == 0.0 or course.c == 0.0:
         return np.inf
@@ -82,14 +82,14 @@ def turn_of(course):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settled_from(course, light):  # type: ignore[no-untyped-def]
+def settled_from(course, light):
     """Find from when on P has lost what it started from, but for a trifle."""
     left = abs(course.c) / (_SETTLED * light)
     return course.t0 + (np.log(left) / course.k if left > 1.0 else 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def able_from(t, level, up, down, leak, luminance, eps, course):  # type: ignore[no-untyped-def]
+def able_from(t, level, up, down, leak, luminance, eps, course):
     """Find from when on a settled pixel may pass a threshold by flicker, as its level sinks."""
     crest = (luminance * (1.0 + course.depth) + eps) / (level * up)
     trough = (luminance * (1.0 - course.depth) + eps) / (level * down)
@@ -99,7 +99,7 @@ def able_from(t, level, up, down, leak, luminance, eps, course):  # type: ignore
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def crossing_of(t, stop, level, up, down, leak, eps, course):  # type: ignore[no-untyped-def]
+def crossing_of(t, stop, level, up, down, leak, eps, course):
     """Find when the signal next passes a threshold: (time [s], is ON), infinity if not by `stop`.
 
     The signal is monotone from t to stop; the level sinks. The root is bracketed and found by
@@ -175,7 +175,7 @@ class PixelRates(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow_changes(  # type: ignore[no-untyped-def]
+def follow_changes(
     times_s, x0_px, y0_px, luminance, background, time_s, box, image, pixels, rates, dim_hz,
     events, n,
 ):  # fmt: skip
@@ -205,9 +205,7 @@ def follow_changes(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow_all(  # type: ignore[no-untyped-def]
-    time_s, image, pixels, rates, dim_hz, events, n
-):
+def follow_all(time_s, image, pixels, rates, dim_hz, events, n):
     """Follow all pixels, whose light stays, up to a time."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
@@ -218,7 +216,7 @@ def follow_all(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-def]
+def _stays_quiet(state, t1, i0, i1, rates, dim_hz):
     """Follow a pixel up to t1 if its signal is monotone and stays between the thresholds."""
     t = state.time_s
     if state.dead_until_s > t:
@@ -246,9 +244,7 @@ def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(  # type: ignore[no-untyped-def]
-    y, x, t1, i0, i1, pixels, rates, dim_hz, events, n
-):
+def _follow(y, x, t1, i0, i1, pixels, rates, dim_hz, events, n):
     """Follow one pixel up to t1 while its luminance goes linearly from i0 to i1."""
     state = pixels[y, x]
     t = state.time_s
@@ -312,7 +308,7 @@ def _follow(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
+def _noise_hz(luminance, state, rates, dim_hz):
     """Rate of a pixel's noise events of all causes."""
     shot_hz = rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
     nominal_hz = shot_hz + _dim_hz(luminance, dim_hz)
@@ -320,7 +316,7 @@ def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _dim_hz(luminance, dim_hz):  # type: ignore[no-untyped-def]
+def _dim_hz(luminance, dim_hz):
     """Look the shot noise in dim light up in its table over luminance, 0 to 1."""
     at = min(max(luminance, 0.0), 1.0) * (dim_hz.size - 1)
     k = min(np.int64(at), dim_hz.size - 2)
@@ -328,7 +324,7 @@ def _dim_hz(luminance, dim_hz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):  # type: ignore[no-untyped-def]
+def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):
     """Draw the polarity of a noise event: hot pixels are ON, shot noise is either."""
     draw = uniform(state) * noise_hz - state.hot_hz
     if draw < 0.0:
@@ -338,7 +334,7 @@ def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _delay(light, state, rates):  # type: ignore[no-untyped-def]
+def _delay(light, state, rates):
     """Draw how much later than its crossing an event is stamped [s]."""
     lux = rates.lux * light
     delay_s = rates.latency_s + rates.latency_lux_s / lux
@@ -347,7 +343,7 @@ def _delay(light, state, rates):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _normal(state):  # type: ignore[no-untyped-def]
+def _normal(state):
     """Draw from the standard normal distribution (Box and Muller)."""
     radius = np.sqrt(-2.0 * np.log(1.0 - uniform(state)))
     return radius * np.cos(2.0 * np.pi * uniform(state))

@@ -86,10 +86,4 @@ def _open(backend: str) -> GLContext:
         ) from error
 
 
-def make_current() -> None:
-    """Come back to this process's context after pyrender has opened another one."""
-    for renderer in _KEEP_ALIVE:
-        renderer._platform.make_current()
-
-
 _KEEP_ALIVE: list[Any] = []

@@ -109,18 +109,26 @@ def average_tiles(
     """
     width, height = size_px
     luminance = np.empty((len(corners), height, width), np.float32)
-    columns, n_samples = _columns_in_tile(lattice, height), lattice.samples_per_pixel
+    pixel_of = _pixel_of_samples(lattice, size_px)
     for image, (column, row), (x0, y0) in zip(luminance, corners, corner_px, strict=True):
-        tile, behind = atlas[row:, column:], background[y0:, x0:]
-        _average_tile(tile, columns, lattice.a, lattice.b, n_samples, behind, image)
+        words = atlas[row : row + len(pixel_of), column : column + pixel_of.shape[1]]
+        # Whole numbers below 2^53, which floating point adds exactly.
+        sums = np.bincount(pixel_of.ravel(), words.ravel(), width * height + 1).astype(np.int64)
+        average_block(sums, width, lattice.samples_per_pixel, background[y0:, x0:], image)
     return luminance
 
 
-def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
-    """Give `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
-    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height_px)
-    columns: IntArray = lattice.pixel_columns - np.array([u0, v0, v0])
-    return columns
+def _pixel_of_samples(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
+    """Give the number of each sample's pixel in a tile, as `runs_of_tile` counts them."""
+    width, height = size_px
+    a, b, n = lattice.a, lattice.b, lattice.samples_per_pixel
+    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
+    n_columns, n_rows = lattice.tile_size(width, height)
+    u, v = u0 + np.arange(n_columns), v0 + np.arange(n_rows)[:, None]
+    # p = A' q / n; a pixel reaches from -1/2 to 1/2 about its own, whole in integers.
+    x, y = (2 * (a * u + b * v) + n) // (2 * n), (2 * (a * v - b * u) + n) // (2 * n)
+    is_within = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return np.where(is_within, width * y + x, width * height).astype(np.int32)
 
 
 @lru_cache(maxsize=64)
@@ -132,10 +140,7 @@ def runs_of_tile(
     Returns the run of each sample, row by row; the first sample of each run, and one past the last
     run's; and the pixel of each run: width times row plus column, or width times height of none.
     """
-    width, height = size_px
-    pixel_of = np.full(lattice.tile_size(width, height)[::-1], width * height, np.int32)
-    columns = _columns_in_tile(lattice, height)
-    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
+    pixel_of = _pixel_of_samples(lattice, size_px)
     is_first = np.ones(pixel_of.shape, np.bool_)
     is_first[:, 1:] = pixel_of[:, 1:] != pixel_of[:, :-1]
     start = np.flatnonzero(is_first)
@@ -144,32 +149,7 @@ def runs_of_tile(
 
 
 @njit(cache=True, nogil=True)
-def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-untyped-def]
-    """Write each pixel's number at its samples, given those of the first pixel of the tile."""
-    for j in range(height):
-        for i in range(width):
-            for c in range(columns.shape[0]):
-                u = columns[c, 0] + a * i - b * j
-                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
-                    pixel_of[v, u] = width * j + i
-
-
-@njit(cache=True, nogil=True)
-def _average_tile(  # type: ignore[no-untyped-def]
-    tile, columns, a, b, n_samples, background, luminance
-):
-    for j in range(luminance.shape[0]):
-        for i in range(luminance.shape[1]):
-            total = np.int64(0)
-            for c in range(columns.shape[0]):
-                u = columns[c, 0] + a * i - b * j
-                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
-                    total += np.int64(tile[v, u])
-            luminance[j, i] = _mixed(total, n_samples, background[j, i])
-
-
-@njit(cache=True, nogil=True)
-def _mixed(total, n_samples, background):  # type: ignore[no-untyped-def]
+def _mixed(total, n_samples, background):
     """Turn a pixel's sum of words into luminance, over the background."""
     n, scale = np.float32(n_samples), np.float32(1.0 / (FULL_CODE * n_samples))
     codes = total & ((np.int64(1) << COUNT_BIT) - 1)
@@ -179,9 +159,7 @@ def _mixed(total, n_samples, background):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def sum_runs(  # type: ignore[no-untyped-def]
-    keys, touched, width, height, run_of, run_start, run_pixel, sums
-):
+def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
     """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
     for v in range(height):
         low, high = touched[v, 0], touched[v, 1]
@@ -206,7 +184,7 @@ def sum_runs(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def average_block(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
+def average_block(sums, width, n_samples, background, image):
     """Turn sums of words into luminance, over the background, and empty them."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):

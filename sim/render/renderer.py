@@ -6,6 +6,7 @@ definition. What the first draws is compared with the second at some instants of
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,7 @@ MAX_SAMPLES_PER_PIXEL = 0.02  # in the mean over all pixels of a recording that 
 MIN_SHOWN = 10_000  # pixels: in the mean of fewer, a row or two weigh too much
 
 
-@dataclass(frozen=True)
-class Crops:
+class Crops(NamedTuple):
     """Luminance of rectangles of the image, one for each of n consecutive instants of one camera.
 
     Outside its rectangle the image shows the background.
@@ -43,10 +43,6 @@ class Crops:
     x0_px: IntArray  # (n,) column of the first pixel
     y0_px: IntArray  # (n,) row of the first pixel
     luminance: Float32Array  # (n, height, width), linear, background included
-
-    def since(self, k: int) -> "Crops":
-        """Return the crops from the k-th on."""
-        return Crops(self.times_s[k:], self.x0_px[k:], self.y0_px[k:], self.luminance[k:])
 
 
 @dataclass

@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 import trimesh
+from trimesh.transformations import rotation_matrix
 
 from sim.arrays import FloatArray
 from sim.errors import SimError
@@ -225,7 +226,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     """
     check_size(size_m)
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
-    propeller.apply_transform(_rolled(0.6))
+    propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))  # type: ignore[no-untyped-call]
     wheel = prism(6, radius=0.03, length=0.018)
     wheel.apply_transform(pose((0.17, 0.0, -0.125), yaw_rad=np.pi / 2, pitch_rad=np.pi / 2))
     wings = [
@@ -240,7 +241,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
         for side in (1, -1)
     ]
     fin = panel(FIN)
-    fin.apply_transform(_rolled(np.pi / 2))
+    fin.apply_transform(rotation_matrix(np.pi / 2, (1, 0, 0)))  # type: ignore[no-untyped-call]
     pieces = (
         (hexagonal_hull(FUSELAGE), 0.24),
         (hexagonal_hull(CANOPY), 0.06),
@@ -254,14 +255,6 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
         (fin, 0.45),
     )
     return Drone((join([solid(*piece) for piece in pieces], size_m),), "plane", size_m)
-
-
-def _rolled(angle_rad: float) -> FloatArray:
-    """Return the (4, 4) transform that turns about x."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    T = np.eye(4)
-    T[1:3, 1:3] = [[cos, -sin], [sin, cos]]
-    return T
 
 
 QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}

@@ -216,7 +216,6 @@ def _unit_range(frame: NDArray[Any]) -> Float32Array:
 def slow_events(
     first: Float32Array,
     batches: Iterable[tuple[FloatArray, Float32Array]],
-    end_s: float,
     config: SensorConfig,
     of_memory: np.random.Generator,
     of_pixels: np.random.Generator,
@@ -224,9 +223,8 @@ def slow_events(
     """Let pixels without noise follow a light that they have seen for long; events by time.
 
     `first` is the luminance (height, width) in [0, 1] at time 0, `batches` are later times (n,) [s]
-    and luminance (n, height, width); the last image stays until `end_s`. Of the config, only the
-    thresholds count. `of_memory` draws the level that each pixel remembers, `of_pixels` the
-    thresholds' mismatch.
+    and luminance (n, height, width). Of the config, only the thresholds count. `of_memory` draws
+    the level that each pixel remembers, `of_pixels` the thresholds' mismatch.
     """
     phases = of_memory.uniform(-0.95, 0.95, first.shape)
     threshold = min(config.threshold_on, config.threshold_off)
@@ -238,4 +236,4 @@ def slow_events(
     for times_s, images in batches:
         corner = np.zeros(len(times_s), np.int64)
         pixels.feed(times_s, corner, corner, images)
-    return pixels.finish(end_s)
+    return pixels.finish(0.0)  # they act on changes alone

@@ -113,7 +113,7 @@ def frame_times_us(config: FrameConfig, duration_s: float, start_s: float = 0.0)
 
 
 @njit(cache=True, nogil=True)
-def _expose(  # type: ignore[no-untyped-def]
+def _expose(
     first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
     start_s, exposure_s, total,
 ):  # fmt: skip
@@ -138,7 +138,7 @@ def _expose(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _add(total, crop, x0, y0, background, weight):  # type: ignore[no-untyped-def]
+def _add(total, crop, x0, y0, background, weight):
     height, width = crop.shape
     w = np.float32(weight)
     for j in range(height):
@@ -148,7 +148,7 @@ def _add(total, crop, x0, y0, background, weight):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def _develop(total, background, image):  # type: ignore[no-untyped-def]
+def _develop(total, background, image):
     """Write the image of all the light of an exposure, and start anew."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):

@@ -6,8 +6,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.arrays import IntArray
-
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
@@ -32,7 +30,7 @@ class EventBuffer:
         taken, key = np.empty(self.n, EVENT_DTYPE), np.empty(self.n, np.int64)
         n_taken = _move_out(self.events, self.n, before_us, width, height, taken, key)
         self.n -= n_taken
-        return np.take(taken, _stable_order(key[:n_taken]))
+        return np.take(taken, np.argsort(key[:n_taken], kind="stable"))
 
 
 @njit(cache=True, nogil=True)
@@ -44,9 +42,7 @@ def grown(events: NDArray[Any]) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True)
-def _move_out(  # type: ignore[no-untyped-def]
-    events, n, before_us, width, height, taken, key
-):
+def _move_out(events, n, before_us, width, height, taken, key):
     """Move the events before a time to `taken`, with the key to sort them by."""
     n_taken = 0
     for i in range(n):
@@ -60,14 +56,6 @@ def _move_out(  # type: ignore[no-untyped-def]
         else:
             events[i - n_taken] = event
     return n_taken
-
-
-def _stable_order(key: IntArray) -> IntArray:
-    """Do what a stable `np.argsort` does, twice as fast where key and index fit one number."""
-    bits = len(key).bit_length()
-    if not len(key) or int(np.ptp(key)) >> (63 - bits):
-        return np.argsort(key, kind="stable")
-    return np.sort((key - key.min()) << bits | np.arange(len(key))) & ((1 << bits) - 1)
 
 
 NOISE_STATE_DTYPE = np.dtype(
@@ -84,7 +72,7 @@ SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
 
 
 @njit(cache=True, nogil=True)
-def process_ideal(  # type: ignore[no-untyped-def]
+def process_ideal(
     times_s, x0_px, y0_px, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
@@ -103,7 +91,7 @@ def process_ideal(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _follow_light(  # type: ignore[no-untyped-def]
+def _follow_light(
     first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
@@ -170,7 +158,7 @@ def _follow_light(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def process_noisy(  # type: ignore[no-untyped-def]
+def process_noisy(
     times_s, x0_px, y0_px, luminance, background, time_s, box,
     image, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     events, n,
@@ -214,7 +202,7 @@ def process_noisy(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _follow(  # type: ignore[no-untyped-def]
+def _follow(
     y, x, t0, t1, i0, i1, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     events, n,
 ):  # fmt: skip
@@ -266,7 +254,7 @@ def _follow(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: ignore[no-untyped-def]
+def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):
     """Find when the light next passes a threshold: (time [s], is ON), infinity if not before t1."""
     shrink = decay(leak * (t1 - t))
     for polarity in (True, False):
@@ -286,18 +274,18 @@ def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def decay(x):  # type: ignore[no-untyped-def]
+def decay(x):
     """Return exp(-x); between two instants x is tiny, and the series is exact to rounding."""
     return 1.0 - x * (1.0 - 0.5 * x * (1.0 - x / 3.0)) if x < 1e-4 else np.exp(-x)
 
 
 @njit(cache=True, nogil=True)
-def _waiting_time(state, shot_hz, background_hz):  # type: ignore[no-untyped-def]
+def _waiting_time(state, shot_hz, background_hz):
     return -np.log(1.0 - uniform(state)) / (shot_hz + background_hz + state.hot_hz)
 
 
 @njit(cache=True, nogil=True)
-def uniform(state):  # type: ignore[no-untyped-def]
+def uniform(state):
     """Draw from [0, 1): SplitMix64 (Steele et al., OOPSLA 2014), one stream for each pixel."""
     state.random += np.uint64(0x9E3779B97F4A7C15)
     z = state.random

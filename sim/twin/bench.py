@@ -147,7 +147,9 @@ class TwinConfig(SimConfig):
         rig = bench_rig(self)
         trajectory = hanging_of(self, seed).trajectory
         if not self.turning:
-            trajectory = replace(trajectory, attitude=_level)
+            trajectory = replace(
+                trajectory, attitude=lambda times_s: Rotation.identity(len(times_s))
+            )
         drone = printed(SIZE_M if self.drone_size_m is None else self.drone_size_m)
         return Scene(rig, bench_walls(self, rig), drone, trajectory)
 
@@ -189,8 +191,3 @@ def _put_up(camera: Camera, distance_m: float, rng: np.random.Generator) -> Came
     T_C_W[:3, :3] = Rotation.from_rotvec([0.0, 0.0, roll_rad]).as_matrix() @ T_C_W[:3, :3]
     T_C_W[:3, 3] = (0.0, 0.0, distance_m)
     return replace(camera, K=K, distortion_coeffs=coeffs, T_C_W=T_C_W)
-
-
-def _level(times_s: FloatArray) -> Rotation:
-    """Give the attitude of what neither turns nor rocks, at each time (n,) [s]."""
-    return Rotation.from_matrix(np.broadcast_to(np.eye(3), (len(times_s), 3, 3)))

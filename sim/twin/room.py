@@ -62,8 +62,7 @@ def room_events(
     if config.light_std or config.shadow:
         frames = _frames(config, view, scene, hanging, seed, index)
         rngs = (generator(seed, _PHASE_STREAM, index, *pixels) for pixels in ((), (1,)))
-        about = (scene.backgrounds[index], frames, view.duration_s, sensor)
-        streams.append(slow_events(*about, *rngs))
+        streams.append(slow_events(scene.backgrounds[index], frames, sensor, *rngs))
     if config.wire_m:
         rng = generator(seed, _WIRE_STREAM, index)
         streams.append(_wire(config, view, camera, hanging, sensor, rng))

@@ -9,15 +9,13 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.render.renderer import Crops
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.rig import Camera, two_view_rig
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.events import Sensor, SensorConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -29,11 +27,6 @@ LENSES: dict[str, tuple[float, ...]] = {
 }
 
 
-EPS = 1e-3
-IDEAL = SensorConfig()
-ZERO = np.zeros(1, np.int64)
-# The general loop in place of the one for ideal pixels, with noise too rare to be seen.
-SLOW = SensorConfig(refractory_s=1e-15)
 # A second of a coarse recording: 60 ms.
 QUICK = SimConfig(
     spline=SplineConfig(duration_s=1.0),
@@ -111,23 +104,6 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
     return images
 
 
-def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
-    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
-    change_us = round(1e6 * t_d_s) - round(1e6 * recording.truth.t_d_s)
-    second = recording.cameras[1]
-    camera = replace(second.camera, time_offset_s=t_d_s)
-    events = second.events.copy()
-    events["t"] += change_us
-    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
-    others = recording.cameras[2:]
-    return replace(
-        recording,
-        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
-        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
-        truth=replace(recording.truth, t_d_s=t_d_s),
-    )
-
-
 def smooth_video(n: int, height: int, width: int, seed: int = 0) -> NDArray[np.float32]:
     """Blobs that drift over each other: every pixel brightens and darkens by many thresholds."""
     y, x = np.mgrid[:height, :width]
@@ -136,13 +112,6 @@ def smooth_video(n: int, height: int, width: int, seed: int = 0) -> NDArray[np.f
     waves = np.sin(0.31 * x + 9 * t + phase[0]) + np.sin(0.23 * y - 7 * t + phase[1])
     waves += np.sin(0.11 * (x + y) + 13 * t + phase[2])
     return (0.5 + 0.1666 * waves).astype(np.float32)
-
-
-def step_video(before: float, after: float, n: int = 2) -> NDArray[np.float32]:
-    """One pixel that changes once, after the first frame."""
-    video = np.full((n, 1, 1), after, np.float32)
-    video[0] = before
-    return video
 
 
 def reference_levels(
@@ -154,63 +123,6 @@ def reference_levels(
     on, off = (np.broadcast_to(each, shape)[y, x] for each in (thresholds_on, thresholds_off))
     np.add.at(change, (y, x), np.where(events["p"] == 1, on, -off))
     return change
-
-
-def spread_px(video: NDArray[Any], seed: int) -> list[tuple[NDArray[np.int64], ...]]:
-    """Random rectangles around the places where each frame differs from the first one."""
-    generator = rng(seed)
-    boxes = []
-    for frame in video:
-        ys, xs = np.nonzero(frame != video[0])
-        low = np.array([xs.min(), ys.min()]) if len(xs) else np.array([3, 3])
-        high = np.array([xs.max(), ys.max()]) + 1 if len(xs) else np.array([4, 4])
-        margin = generator.integers(0, 3, (2, 2))
-        size = np.array(frame.shape[::-1])
-        boxes.append((np.maximum(low - margin[0], 0), np.minimum(high + margin[1], size)))
-    return boxes
-
-
-def feed(sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any]) -> None:
-    """Whole images."""
-    zeros = np.zeros(len(times_s), np.int64)
-    sensor.feed(times_s, zeros, zeros, video)
-
-
-def feed_crop(sensor: Sensor, time_s: float, frame: NDArray[Any], box: Any) -> None:
-    (x0, y0), (x1, y1) = box
-    crop = np.ascontiguousarray(frame[None, y0:y1, x0:x1])
-    sensor.feed(np.array([time_s]), np.array([x0]), np.array([y0]), crop)
-
-
-def passing_square(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """A square passes a textured wall: it comes in, goes, and comes back elsewhere."""
-    video = np.repeat(smooth_video(1, 30, 40, seed), 120, axis=0)
-    for k in range(120):
-        if 5 < k % 60 < 50:
-            x, y = (k % 60) - 10, 8 + k // 8
-            video[k, y : y + 7, max(x, 0) : max(x + 9, 0)] = 0.1
-    return video, 1e-3 * np.arange(120)
-
-
-def events_of_crops(
-    sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any], seed: int
-) -> NDArray[Any]:
-    boxes = spread_px(video, seed)
-    for k in range(1, len(video)):
-        # An instant without the square may be left out when those around it are without as well.
-        if (video[k - 1 : k + 2] != video[0]).any():
-            feed_crop(sensor, times_s[k], video[k], boxes[k])
-    return sensor.finish(float(times_s[-1]))
-
-
-def by_pixel(events: NDArray[Any]) -> NDArray[Any]:
-    return events[np.lexsort((events["t"], events["x"], events["y"]))]
-
-
-def gaps_us(events: NDArray[Any]) -> NDArray[np.int64]:
-    """Between two events of one pixel that follow each other."""
-    y, x, t = (np.diff(by_pixel(events)[name].astype(np.int64)) for name in "yxt")
-    return t[(y == 0) & (x == 0)]
 
 
 def counts(events: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.int64]:

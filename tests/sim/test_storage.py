@@ -76,10 +76,14 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("n_events", [0, 1, 5000, 65_536, 140_000])
-@pytest.mark.parametrize("n_frames", [0, 1, 16, 35])
-def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None:
-    recording = made_up_recording(n_events, n_frames)
-    save_recording(recording, tmp_path / "out", {})
+@pytest.mark.parametrize(
+    ("n_frames", "first_us"), [(0, -1_234_567), (1, -400_000), (16, 0), (35, 7)]
+)
+def test_hdf5_and_esim_text_are_read_back(
+    tmp_path: Path, n_events: int, n_frames: int, first_us: int
+) -> None:
+    recording = made_up_recording(n_events, n_frames, first_us)
+    save_recording(recording, tmp_path / "out", {}, text=True)
     for camera in recording.cameras:
         path = tmp_path / "out" / f"{camera.camera.name}.h5"
         with h5py.File(path) as file:
@@ -88,33 +92,21 @@ def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None
                 assert file[f"events/{name}"].dtype == EVENT_DTYPE[name]
                 np.testing.assert_array_equal(file[f"events/{name}"][:], camera.events[name])
             assert ("frames" in file) == (n_frames > 0)
+        lines = path.with_suffix(".txt").read_text().splitlines()
+        assert lines[0] == "346 260"
+        assert len(lines) == 1 + n_events
         if n_events:
-            read = load_events(path)
-            np.testing.assert_array_equal(read.events, camera.events)
-            assert (read.width, read.height) == (346, 260)
+            t, *x_y_p = lines[1].split(" ")
+            assert (float(t) * 1e6, *map(int, x_y_p)) == pytest.approx(camera.events[0].tolist())
+            for suffix in (".h5", ".txt"):
+                read = load_events(path.with_suffix(suffix))
+                np.testing.assert_array_equal(read.events, camera.events)
+                assert (read.width, read.height) == (346, 260)
         frames = load_frames(path)
         assert (frames is not None) == (n_frames > 0)
         if frames is not None:
             np.testing.assert_array_equal(frames[0], camera.frames.times_us)
             np.testing.assert_array_equal(frames[1], camera.frames.images)
-
-
-@pytest.mark.parametrize("first_us", [-1_234_567, -400_000, 0, 7])
-def test_esim_text_is_read_back(tmp_path: Path, first_us: int) -> None:
-    recording = made_up_recording(first_us=first_us)
-    save_recording(recording, tmp_path / "out", {}, text=True)
-    for camera in recording.cameras:
-        path = tmp_path / "out" / f"{camera.camera.name}.txt"
-        lines = path.read_text().splitlines()
-        assert lines[0] == "346 260"
-        assert len(lines) == 1 + len(camera.events)
-        t, x, y, p = lines[1].split(" ")
-        first = camera.events[0]
-        assert float(t) == first["t"] / 1e6
-        assert (int(x), int(y), int(p)) == (first["x"], first["y"], first["p"])
-        read = load_events(path)
-        np.testing.assert_array_equal(read.events, camera.events)
-        assert (read.width, read.height) == (346, 260)
 
 
 def test_rigs_are_read_back(tmp_path: Path) -> None:

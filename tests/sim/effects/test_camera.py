@@ -22,7 +22,7 @@ from sim.render.config import RenderConfig
 from sim.render.renderer import Crops
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
-from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
+from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
 from tests.sim.scenes import rng, smooth_video
 
@@ -110,22 +110,6 @@ def test_phases_of_frames_differ_between_cameras() -> None:
     assert starts_s.max() < 0.04
     np.testing.assert_allclose(starts_s.mean(axis=0), 0.02, atol=5 * 0.0115 / 200**0.5)
     assert abs(np.corrcoef(starts_s.T)[0, 1]) < 0.3
-
-
-def test_a_frame_that_starts_late_shows_the_light_of_its_stamp() -> None:
-    config, start_s = FrameConfig(rate_hz=20.0, exposure_s=0.01), 0.0123
-    times_us = frame_times_us(config, 1.0, start_s)
-    frames = Kept()
-    dark = np.zeros((2, 3), np.float32)
-    exposer = FrameExposer(config, dark, len(times_us), frames, start_s)
-    times_s = np.linspace(0.0, 1.0, 101)
-    zeros = np.zeros(101, np.int64)
-    ramp = np.broadcast_to(times_s[:, None, None], (101, 2, 3)).astype(np.float32)
-    exposer.feed(times_s, zeros, zeros, np.ascontiguousarray(ramp))
-    exposer.finish()
-    assert len(frames) == len(times_us) == 20
-    shown = np.array([frame[0, 0] for frame in frames]) / 255.0
-    np.testing.assert_allclose(shown, 1e-6 * times_us, atol=0.6 / 255)  # whole levels
 
 
 def test_a_configuration_without_effects_is_written_as_before() -> None:

@@ -1,4 +1,4 @@
-"""Events are what thresholds make of light, and of noise, whole or in crops, in order."""
+"""Events are what thresholds, a real pixel's flaws and noise make of light, whole or in crops."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,25 +7,103 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
+from sim.effects.pixels import EffectsSensor
 from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
 from sim.sensor.kernels import EventBuffer
-from tests.sim.scenes import (
-    EPS,
-    IDEAL,
-    SLOW,
-    ZERO,
-    by_pixel,
-    counts,
-    events_of_crops,
-    feed,
-    feed_crop,
-    gaps_us,
-    passing_square,
-    reference_levels,
-    rng,
-    smooth_video,
-    step_video,
-)
+from tests.sim.scenes import counts, reference_levels, rng, smooth_video
+
+EPS = 1e-3
+ZERO = np.zeros(1, np.int64)
+SHAPE = (50, 60)
+FLICKER_RAD = 1.0  # away from crests, where a threshold may just be reached or not
+IDEAL = SensorConfig()
+# The general loop in place of the one for ideal pixels, with noise too rare to be seen.
+SLOW = SensorConfig(refractory_s=1e-15)
+QUIET = SensorConfig(threshold_on=20.0, threshold_off=20.0)  # only noise makes events
+FINE = SensorConfig(threshold_on=0.02, threshold_off=0.02)
+# Pixels with effects in place of those without, with an effect too small to be seen.
+FAINT = SensorEffects(latency_s=1e-12)
+
+Effects = SensorEffects | None
+SENSORS: dict[str, tuple[SensorConfig, Effects]] = {
+    **{name: (config, None) for name, config in PRESETS.items()},
+    **{f"{name}, effects": (one.sensor, one.effects) for name, one in SENSOR_PRESETS.items()},
+}
+
+
+def sensor_of(
+    image: NDArray[Any], config: SensorConfig, effects: Effects = None, time_s: float = 0.0
+) -> Sensor:
+    """Pixels with effects or without."""
+    about = (image.astype(np.float32), time_s, rng(1))
+    if effects is None:
+        return Sensor(config, *about)
+    return EffectsSensor(config, effects, *about, effects_rng=rng(1001), flicker_rad=FLICKER_RAD)
+
+
+def events_of(
+    video: NDArray[Any],
+    times_s: NDArray[np.float64],
+    config: SensorConfig = IDEAL,
+    effects: Effects = None,
+) -> NDArray[Any]:
+    """Events of a video (n, height, width) of linear light at times (n,) [s]."""
+    sensor = sensor_of(video[0], config, effects, float(times_s[0]))
+    feed(sensor, times_s[1:], np.ascontiguousarray(video[1:], np.float32))
+    return sensor.finish(float(times_s[-1]))
+
+
+def still_events(
+    light: float,
+    duration_s: float,
+    config: SensorConfig = QUIET,
+    effects: Effects = None,
+    shape: tuple[int, int] = SHAPE,
+) -> NDArray[Any]:
+    """Events of pixels that see one and the same light all along."""
+    return sensor_of(np.full(shape, light), config, effects).finish(duration_s)
+
+
+def feed(sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any]) -> None:
+    """Whole images."""
+    zeros = np.zeros(len(times_s), np.int64)
+    sensor.feed(times_s, zeros, zeros, video)
+
+
+def feed_crop(sensor: Sensor, time_s: float, frame: NDArray[Any], box: Any) -> None:
+    (x0, y0), (x1, y1) = box
+    crop = np.ascontiguousarray(frame[None, y0:y1, x0:x1])
+    sensor.feed(np.array([time_s]), np.array([x0]), np.array([y0]), crop)
+
+
+def step_video(before: float, after: float, n: int = 2) -> NDArray[np.float32]:
+    """One pixel that changes once, after the first frame."""
+    return np.array([before] + (n - 1) * [after], np.float32)[:, None, None]
+
+
+def stepping(before: float, after: float, at_s: float, until_s: float, shape: Any = (1, 1)) -> Any:
+    """A video of light that changes once, within a nanosecond, and its times."""
+    times_s = np.array([0.0, at_s, at_s + 1e-9, until_s])
+    levels = np.array([before, before, after, after], np.float32)
+    return np.broadcast_to(levels[:, None, None], (4, *shape)), times_s
+
+
+def by_pixel(events: NDArray[Any]) -> NDArray[Any]:
+    return events[np.lexsort((events["t"], events["x"], events["y"]))]
+
+
+def gaps_us(events: NDArray[Any]) -> NDArray[np.int64]:
+    """Between two events of one pixel that follow each other."""
+    y, x, t = (np.diff(by_pixel(events)[name].astype(np.int64)) for name in "yxt")
+    return t[(y == 0) & (x == 0)]
+
+
+def assert_poisson(count: int, expected: float) -> None:
+    assert abs(count - expected) < 5.0 * expected**0.5  # five standard deviations, fixed seed
+
+
+# --- Thresholds ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("config", [
@@ -86,12 +164,26 @@ def test_both_loops_and_many_events(name: str) -> None:
     assert np.diff(events["t"]).min() >= 0
 
 
-def test_the_general_loop_without_noise_is_the_ideal_one() -> None:
+@pytest.mark.parametrize(
+    ("config", "effects"),
+    [
+        (SLOW, None),
+        (IDEAL, FAINT),
+        # A time constant of 0.2 us.
+        (IDEAL, SensorEffects(cutoff_hz_per_lux=1e4, cutoff_min_hz=1e6, cutoff_max_hz=1e6)),
+        (IDEAL, SensorEffects(flicker_depth=1e-9)),
+    ],
+)
+def test_what_is_next_to_nothing_gives_the_ideal_events(
+    config: SensorConfig, effects: Effects
+) -> None:
     video, times_s = smooth_video(80, 20, 30), 1e-3 * np.arange(80)
-    ideal, general = (by_pixel(events_from_frames(video, times_s, c)) for c in (IDEAL, SLOW))
-    np.testing.assert_array_equal(ideal[["x", "y", "p"]], general[["x", "y", "p"]])
-    # One memorises the level, the other the light when it passed it: equal to rounding.
-    assert np.abs(ideal["t"] - general["t"]).max() <= 1
+    ideal = by_pixel(events_of(video, times_s))
+    events = by_pixel(events_of(video, times_s, config, effects))
+    assert len(ideal) > 5000
+    np.testing.assert_array_equal(events[["x", "y", "p"]], ideal[["x", "y", "p"]])
+    # One memorises the level, the other the light when it passed it; the time constant; rounding.
+    assert np.abs(events["t"] - ideal["t"]).max() <= (1 if effects is None else 2)
 
 
 def test_light_exactly_on_a_threshold_is_no_division_by_zero() -> None:
@@ -120,14 +212,30 @@ def test_videos_of_any_type_and_layout() -> None:
         np.testing.assert_array_equal(events_from_frames(codes, times_s), of_light)
 
 
-@pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_crops_give_the_events_of_whole_frames(name: str, seed: int) -> None:
-    video, times_s = passing_square(seed)
-    whole = events_from_frames(video, times_s, PRESETS[name], rng(seed))
-    sensor = Sensor(PRESETS[name], video[0], 0.0, rng(seed))
-    np.testing.assert_array_equal(events_of_crops(sensor, times_s, video, seed), whole)
-    assert len(whole) > 1000
+# --- In parts -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_crops_give_the_events_of_whole_frames(name: str) -> None:
+    """A square passes a textured wall: it comes in, goes, and comes back elsewhere."""
+    video, times_s = np.repeat(smooth_video(1, 30, 40), 120, axis=0), 1e-3 * np.arange(120)
+    for k in range(120):
+        if 5 < k % 60 < 50:
+            x, y = (k % 60) - 10, 8 + k // 8
+            video[k, y : y + 7, max(x, 0) : max(x + 9, 0)] = 0.1
+    sensor, margins = sensor_of(video[0], *SENSORS[name]), rng(2)
+    for k in range(1, 120):
+        ys, xs = np.nonzero(video[k] != video[0])
+        low = np.array([xs.min(), ys.min()]) if len(xs) else np.array([3, 3])
+        high = np.array([xs.max(), ys.max()]) + 1 if len(xs) else np.array([4, 4])
+        margin = margins.integers(0, 3, (2, 2))
+        box = (np.maximum(low - margin[0], 0), np.minimum(high + margin[1], [40, 30]))
+        # An instant without the square may be left out when those around it are without as well.
+        if (video[k - 1 : k + 2] != video[0]).any():
+            feed_crop(sensor, times_s[k], video[k], box)
+    whole = events_of(video, times_s, *SENSORS[name])
+    np.testing.assert_array_equal(sensor.finish(times_s[-1]), whole)
+    assert len(whole) > 300
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -136,8 +244,8 @@ def test_events_may_be_taken_as_they_settle(name: str, step_s: float) -> None:
     """One instant at a time or many; also where many feeds fall into one microsecond."""
     config = PRESETS[name]
     video, times_s = smooth_video(50, 12, 15), step_s * np.arange(50)
-    whole = events_from_frames(video, times_s, config, rng(1))
-    sensor, taken = Sensor(config, video[0], 0.0, rng(1)), []
+    whole = events_of(video, times_s, config)
+    sensor, taken = sensor_of(video[0], config), []
     for part in (*(slice(k, k + 1) for k in range(1, 20)), slice(20, 45), slice(45, 50)):
         feed(sensor, times_s[part], video[part])
         taken.append(sensor.take_settled())
@@ -156,8 +264,8 @@ def test_a_start_that_is_not_the_background(name: str) -> None:
     video = np.repeat(wall[None], 3, axis=0)
     video[0, 3:9, 4:11] = 0.05
     times_s = np.array([0.0, 0.01, 0.02])
-    whole = events_from_frames(video, times_s, PRESETS[name], rng(2))
-    sensor = Sensor(PRESETS[name], video[0], 0.0, rng(2), background=wall)
+    whole = events_of(video, times_s, PRESETS[name])
+    sensor = Sensor(PRESETS[name], video[0], 0.0, rng(1), background=wall)
     for k in (1, 2):
         feed_crop(sensor, times_s[k], video[k], ((17, 13), (19, 18)))
     np.testing.assert_array_equal(sensor.finish(0.02), whole)
@@ -165,17 +273,13 @@ def test_a_start_that_is_not_the_background(name: str) -> None:
     assert len(np.unique(on_pixels["y"] * 25 + on_pixels["x"])) >= 42
 
 
-WIDTH, HEIGHT = 7, 5
-
-
-# A microsecond is shared by many events, and in the last case time, pixel and index do not fit one
-# number of 64 bits: 51, 6 and 9 bits.
-@pytest.mark.parametrize("span_s", [1e-5, 1.0, 2e9])
+@pytest.mark.parametrize("span_s", [1e-5, 1.0])  # a microsecond is shared by many events
 @pytest.mark.parametrize("n", [0, 1, 300])
 def test_by_time_row_column_and_order_of_emission(span_s: float, n: int) -> None:
     """Those that stay are taken next."""
+    width, height = 7, 5
     t_s = span_s * (rng(n).integers(0, 10, n) / 10 - 0.3)
-    about = np.stack([rng(n + 1).integers(0, high, n) for high in (WIDTH, HEIGHT, 2)])
+    about = np.stack([rng(n + 1).integers(0, high, n) for high in (width, height, 2)])
     buffer = EventBuffer()
     buffer.n = n
     for name, values in zip(("t_s", "x", "y", "p"), (t_s, *about), strict=True):
@@ -183,7 +287,7 @@ def test_by_time_row_column_and_order_of_emission(span_s: float, n: int) -> None
     rows = np.column_stack([np.rint(1e6 * t_s).astype(np.int64), *about])
     expected = rows[np.lexsort((rows[:, 1], rows[:, 2], rows[:, 0]))]  # a stable sort
     until_us = 0.25e6 * span_s
-    first, second = (buffer.take(us, WIDTH, HEIGHT) for us in (until_us, np.inf))
+    first, second = (buffer.take(us, width, height) for us in (until_us, np.inf))
     assert (first["t"] < until_us).all()
     assert (second["t"] >= until_us).all()
     taken = np.concatenate([first, second])
@@ -194,44 +298,74 @@ def test_by_time_row_column_and_order_of_emission(span_s: float, n: int) -> None
 # --- Noise, leaks, hot pixels and dead times ---------------------------------------------------
 
 
-def still_events(
-    config: SensorConfig, light: float, duration_s: float, shape: tuple[int, int] = (50, 60)
-) -> NDArray[Any]:
-    image = np.full(shape, light, np.float32)
-    return Sensor(config, image, 0.0, rng(11)).finish(duration_s)
-
-
-def assert_poisson(count: int, expected: float) -> None:
-    assert abs(count - expected) < 5.0 * expected**0.5  # five standard deviations, fixed seed
-
-
-@pytest.mark.parametrize("light", [0.0, 0.5, 1.0])
-def test_shot_noise_falls_to_a_quarter_in_full_light(light: float) -> None:
-    events = still_events(SensorConfig(shot_noise_hz=2.0), light, duration_s=5.0)
+@pytest.mark.parametrize("light", [0.0, 0.5, 0.999])
+@pytest.mark.parametrize("effects", [None, FAINT])
+def test_shot_noise_falls_to_a_quarter_in_full_light(effects: Effects, light: float) -> None:
+    events = still_events(light, 5.0, replace(QUIET, shot_noise_hz=2.0), effects)
     expected = 2.0 * (1.0 - 0.75 * light) * 5.0 * 3000
     assert_poisson(len(events), expected)
     assert_poisson(int((events["p"] == 1).sum()), expected / 2)
     times = np.histogram(events["t"], bins=10, range=(0, 5_000_000))[0]
     assert np.abs(times - expected / 10).max() < 5.0 * (expected / 10) ** 0.5
-    per_pixel = counts(events, (50, 60))
+    per_pixel = counts(events, SHAPE)
     # Of a Poisson count of mean m the variance is m, known here to sqrt(2 / 3000).
     assert per_pixel.var() == pytest.approx(expected / 3000, rel=5 * (2.5 / 3000) ** 0.5)
 
 
+@pytest.mark.parametrize("light", [0.1, 0.9])
+@pytest.mark.parametrize(("lux", "falls"), [(0.1, 1.0), (1.0, 10**-0.75), (161.0, 1610**-0.75)])
+def test_shot_noise_falls_with_the_light(lux: float, falls: float, light: float) -> None:
+    duration_s = 10.0 / falls**0.5
+    effects = SensorEffects(illuminance_lux=lux / light, dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
+    events = still_events(light, duration_s, effects=effects)
+    on = int((events["p"] == 1).sum())
+    # At least 5000 events: a deviation of 1.4 % at most.
+    per_pixel = falls * duration_s * 3000
+    assert on == pytest.approx(5.0 * per_pixel, rel=0.05)
+    assert len(events) - on == pytest.approx(3.7 * per_pixel, rel=0.05)
+
+
+def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
+    """Pixels are followed at each change: what they wait for meanwhile must not start anew."""
+    times_s = np.linspace(0.0, 5.0, 501)
+    light = np.broadcast_to(0.5 + 0.01 * (np.arange(501) % 2)[:, None, None], (501, *SHAPE))
+    events = events_of(light, times_s, replace(QUIET, background_hz=3.0), FAINT)
+    assert_poisson(len(events), 3.0 * 5.0 * 3000)
+
+
+def test_rates_spread_over_pixels() -> None:
+    spread = 0.25
+    effects = SensorEffects(illuminance_lux=0.1, dim_noise_on_hz=20.0, noise_spread_decades=spread)
+    events = still_events(0.9, 60.0, effects=effects)
+    assert len(events) == pytest.approx(20.0 * 60.0 * 3000, rel=0.05)  # 3000 draws: 1.2 %
+    # Counts of a thousand each add 0.014 decades.
+    assert np.log10(counts(events, SHAPE)).std() == pytest.approx(np.hypot(spread, 0.014), rel=0.05)
+
+
 @pytest.mark.parametrize("light", [0.0, 0.6])
-@pytest.mark.parametrize("mismatch", [0.0, 0.03])
-def test_leak_events_are_on_and_regular(light: float, mismatch: float) -> None:
+@pytest.mark.parametrize(
+    ("mismatch", "effects"),
+    [
+        (0.0, None),
+        (0.03, None),
+        *((0.0, replace(FAINT, leak_jitter=jitter)) for jitter in (0.0, 0.1, 0.2)),
+    ],
+)
+def test_leak_events_are_on_and_regular_but_for_their_jitter(
+    light: float, mismatch: float, effects: Effects
+) -> None:
     config = SensorConfig(leak_hz=3.0, threshold_mismatch=mismatch)
-    events = still_events(config, light, duration_s=4.0)
+    jitter = effects.leak_jitter if effects else 0.0
+    events = still_events(light, 10.0, config, effects)
     assert (events["p"] == 1).all()
-    # Every pixel fires each 1/3 s, from a random phase on: 12 times in 4 s, to round-off.
-    per_pixel = counts(events, (50, 60))
-    assert set(per_pixel) <= {11, 12, 13}
-    assert len(events) == pytest.approx(12 * 3000, abs=30)
-    first = events[events["y"] * 60 + events["x"] == 1234]
-    assert np.abs(np.diff(first["t"]) - 1e6 / 3).max() <= 1
-    phases = np.histogram(events["t"] % 333_333, bins=10)[0]
-    assert np.abs(phases - 3600).max() < 5 * 12 * 300**0.5  # 300 pixels, 12 events each
+    # Every pixel fires each 1/3 s, from a random phase on.
+    assert len(events) == pytest.approx(3.0 * 10.0 * 3000, rel=0.01 if jitter else 0.001)
+    gaps_s = 1e-6 * gaps_us(events)
+    assert gaps_s.mean() == pytest.approx(1 / 3.0, rel=0.01)
+    assert gaps_s.std() * 3.0 == pytest.approx(jitter, rel=0.05, abs=1e-5)
+    if not jitter:
+        phases = np.histogram(events["t"] % 333_333, bins=10)[0]
+        assert np.abs(phases - 9000).max() < 5 * 30 * 300**0.5  # 300 pixels, 30 events each
 
 
 def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
@@ -247,30 +381,61 @@ def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
     assert (sensor.finish(0.5)["p"] == 0).any()
 
 
-def test_hot_pixels() -> None:
-    config = SensorConfig(hot_pixel_share=0.02, hot_pixel_hz=40.0)
-    events = still_events(config, 0.5, duration_s=10.0, shape=(100, 100))
-    per_pixel = counts(events, (100, 100))
-    hot = per_pixel[per_pixel > 0] / 10.0
+def test_leaking_pixels_under_faint_flicker_fire_at_the_crests() -> None:
+    config = SensorConfig(leak_hz=2.0)
+    still, faint = np.full((2, *SHAPE), 0.5), SensorEffects(flicker_depth=0.05)
+    events = events_of(still, np.array([0.0, 5.0]), config, faint)
     assert (events["p"] == 1).all()
-    assert abs(len(hot) - 200) < 5 * 200**0.5  # a draw per pixel
-    # Log-normal of spread 0.7 about the median.
-    assert np.log(np.median(hot) / 40.0) == pytest.approx(0.0, abs=5 * 1.25 * 0.7 / 200**0.5)
-    assert np.log(hot).std() == pytest.approx(0.7, abs=5 * 0.7 / 400**0.5)
+    # A crest lifts the signal by 0.05 of the 0.25 that leak away in half a second, and the level
+    # memorised there is as much higher: the rate stays.
+    assert len(events) / 3000 / 5.0 == pytest.approx(2.0, rel=0.05)
+    phases = np.exp(1j * (2 * np.pi * 100.0 * 1e-6 * events["t"] + FLICKER_RAD))
+    assert np.angle(phases.mean()) == pytest.approx(0.0, abs=0.5)  # crests, a little before
 
 
 @pytest.mark.parametrize(
-    "config",
+    ("config", "effects"),
     [
-        SensorConfig(refractory_s=0.002),
-        SensorConfig(refractory_s=0.002, shot_noise_hz=300.0, leak_hz=20.0),
-        SensorConfig(refractory_s=0.01, hot_pixel_share=0.5, hot_pixel_hz=200.0),
+        (SensorConfig(hot_pixel_share=0.01, hot_pixel_hz=100.0), None),
+        (QUIET, SensorEffects(hot_clusters=40, hot_cluster_hz=100.0)),
     ],
 )
-def test_no_two_events_of_a_pixel_within_the_dead_time(config: SensorConfig) -> None:
+def test_hot_pixels_and_clusters(config: SensorConfig, effects: Effects) -> None:
+    events = still_events(0.5, 10.0, config, effects, (200, 200))
+    assert (events["p"] == 1).all()
+    fired = counts(events, (200, 200)).reshape(200, 200)
+    hot = fired > 0
+    if effects is None:
+        assert_poisson(hot.sum(), 400)  # a draw per pixel
+    else:
+        assert 40 * 9 * 0.9 < hot.sum() <= 40 * 9  # some overlap
+        neighbours = sum(np.roll(hot, shift, axis) for shift in (-1, 1) for axis in (0, 1))
+        assert (neighbours[hot] >= 2).all()
+    # Log-normal of spread 0.7 about the median.
+    rates = np.log(fired[hot] / 10.0 / 100.0)
+    assert np.median(rates) == pytest.approx(0.0, abs=5 * 1.25 * 0.7 / 360**0.5)
+    assert rates.std() == pytest.approx(0.7, abs=5 * 0.7 / 720**0.5)
+
+
+DAVIS = SENSOR_PRESETS["davis346"]
+STEADY = replace(DAVIS.effects, jitter_s=0.0, jitter_lux_s=0.0, latency_lux_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("config", "effects"),
+    [
+        (SensorConfig(refractory_s=0.002), None),
+        (SensorConfig(refractory_s=0.002, shot_noise_hz=300.0, leak_hz=20.0), None),
+        (SensorConfig(refractory_s=0.01, hot_pixel_share=0.5, hot_pixel_hz=200.0), None),
+        (replace(DAVIS.sensor, refractory_s=0.002), STEADY),
+        (replace(DAVIS.sensor, refractory_s=0.01), STEADY),
+    ],
+)
+def test_no_two_events_of_a_pixel_within_the_dead_time(
+    config: SensorConfig, effects: Effects
+) -> None:
     video, times_s = smooth_video(150, 20, 30), 1e-3 * np.arange(150)
-    events = events_from_frames(video, times_s, config)
-    gaps = gaps_us(events)
+    gaps = gaps_us(events_of(video, times_s, config, effects))
     assert len(gaps) > 1000
     # Whole microseconds: rounding two times that are the dead time apart keeps the difference.
     assert gaps.min() >= round(config.refractory_s * 1e6)
@@ -287,3 +452,78 @@ def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time() -> None:
         expected_s.append(crossing_s)
         level = 0.1 + 0.8 * (crossing_s + dead_s) + EPS
     np.testing.assert_allclose(events["t"], 1e6 * np.array(expected_s), atol=0.6)  # us, float32
+
+
+# --- Photoreceptor, latency and flicker ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lux", "light", "expected_hz"),
+    [(1.0, 0.4, 12.0), (20.0, 0.4, 240.0), (20.0, 0.2, 120.0), (1e4, 0.4, 3e3), (0.01, 0.4, 5.0)],
+)
+def test_a_step_is_followed_with_the_time_constant_of_its_light(
+    lux: float, light: float, expected_hz: float
+) -> None:
+    effects = SensorEffects(
+        illuminance_lux=lux, cutoff_hz_per_lux=30.0, cutoff_min_hz=5.0, cutoff_max_hz=3000.0
+    )
+    video, times_s = stepping(light / 2, light, 1.0, 3.0)
+    events = events_of(video, times_s, FINE, effects)
+    reached = (light / 2 + EPS) * np.exp(0.02 * np.arange(1, len(events) + 1)) - EPS
+    left = (light - reached) / (light / 2)
+    usable = left > 0.05
+    assert usable.sum() > 20
+    rate = -np.polyfit(1e-6 * events["t"][usable], np.log(left[usable]), 1)[0]
+    # log_eps counts as light, a quarter of a per cent of it; stamps are whole microseconds.
+    assert rate / (2 * np.pi) == pytest.approx(expected_hz, rel=0.02)
+
+
+@pytest.mark.parametrize("lux", [500.0, 5.0])
+def test_latency_and_jitter_depend_on_the_light(lux: float) -> None:
+    effects = SensorEffects(
+        illuminance_lux=lux, latency_s=100e-6, latency_lux_s=1e-3, jitter_s=10e-6, jitter_lux_s=1e-4
+    )
+    video, times_s = stepping(0.2, 0.3, 1.0, 2.0, SHAPE)
+    events = events_of(video, times_s, effects=effects)
+    assert len(events) == 3000
+    seen_lux = lux * (0.2 + EPS) * np.exp(0.25)  # light at the threshold
+    delays_us = events["t"] - 1e6
+    expected_us = 100 + 1e3 / seen_lux
+    # 3000 draws: deviations of 1.3 % in the deviation, 0.2 % in the mean.
+    assert delays_us.mean() == pytest.approx(expected_us, rel=0.02)
+    assert delays_us.std() == pytest.approx(expected_us / 10, rel=0.05)
+
+
+def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
+    """The light falls all along, but the photoreceptor still rises to what it was before."""
+    effects = SensorEffects(
+        illuminance_lux=1e3, cutoff_hz_per_lux=1.0, cutoff_max_hz=50.0, cutoff_min_hz=50.0
+    )
+    light = np.array([0.2, 0.2, 0.8, 0.1], np.float32)[:, None, None]
+    coarse_s = np.array([0.0, 0.1, 0.1 + 1e-9, 0.11])
+    fine_s = np.concatenate([coarse_s[:3], np.linspace(0.1 + 1e-9, 0.11, 500)[1:]])
+    fine = np.interp(fine_s, coarse_s, light[:, 0, 0])[:, None, None]
+    coarse = events_of(light, coarse_s, effects=effects)
+    events = events_of(fine, fine_s, effects=effects)
+    assert len(coarse) == len(events) >= 2
+    np.testing.assert_allclose(coarse["t"], events["t"], atol=2)  # of 10 ms; rounding
+
+
+@pytest.mark.parametrize("cutoff_hz", [1e6, 50.0])
+def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
+    depth, hz = 0.4, 100.0
+    filtered = SensorEffects(
+        cutoff_hz_per_lux=1e9, cutoff_min_hz=cutoff_hz, cutoff_max_hz=cutoff_hz
+    )
+    times_s = np.linspace(0.0, 0.3, 30_001)
+    # The pixel starts in the middle of all, as if it had followed the lamps for long.
+    gain, lag = 1 / np.hypot(1, hz / cutoff_hz), np.arctan(hz / cutoff_hz)
+    swinging = 0.5 * (1.0 + depth * np.cos(2 * np.pi * hz * times_s + FLICKER_RAD))
+    swinging[0] = 0.5 * (1.0 + depth * gain * np.cos(FLICKER_RAD - lag))
+    by_light = events_of(swinging[:, None, None], times_s, effects=filtered)
+    still, ends_s = np.full((2, 1, 1), 0.5), times_s[[0, -1]]
+    events = events_of(still, ends_s, effects=replace(filtered, flicker_depth=depth))
+    assert len(by_light) == len(events) > 50
+    np.testing.assert_array_equal(events["p"], by_light["p"])
+    # Of cycles of 10 ms: steps of 10 us between whole microseconds, single precision.
+    np.testing.assert_allclose(events["t"], by_light["t"], atol=10)
