@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sim.arrays import IntArray
+
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
@@ -30,7 +32,7 @@ class EventBuffer:
         taken, key = np.empty(self.n, EVENT_DTYPE), np.empty(self.n, np.int64)
         n_taken = _move_out(self.events, self.n, before_us, width, height, taken, key)
         self.n -= n_taken
-        return np.take(taken, np.argsort(key[:n_taken], kind="stable"))
+        return np.take(taken, _stable_order(key[:n_taken]))
 
 
 @njit(cache=True, nogil=True)
@@ -56,6 +58,14 @@ def _move_out(events, n, before_us, width, height, taken, key):
         else:
             events[i - n_taken] = event
     return n_taken
+
+
+def _stable_order(key: IntArray) -> IntArray:
+    """Do what a stable `np.argsort` does, twice as fast where key and index fit one number."""
+    bits = len(key).bit_length()
+    if not len(key) or int(np.ptp(key)) >> (63 - bits):
+        return np.argsort(key, kind="stable")
+    return np.sort((key - key.min()) << bits | np.arange(len(key))) & ((1 << bits) - 1)
 
 
 NOISE_STATE_DTYPE = np.dtype(
