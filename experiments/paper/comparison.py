@@ -74,11 +74,6 @@ RULE = (
     "published mean, contains 0. Better: it lies below 0, so ours is smaller. Differs: it lies "
     "above 0, so ours is larger, or fewer than two of our runs gave an estimate"
 )
-SIZE_RULE = (
-    "Of the paper's size or better: a one-sided test at 5 % does not find our mean larger (the "
-    "lower end of the 90 % interval, widened likewise, is not above 0)"
-)
-
 VERDICTS = ("agrees", "better", "differs")
 
 REASONS: Mapping[str, Mapping[str, Sequence[Any]]] = {
@@ -179,8 +174,10 @@ def comparison_table(
 
     `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. Each row
     is a number that both have, in the paper's order: means, deviations, our runs that are "ok"
-    (`n_ours`), the 95 % interval of the difference, the verdicts (RULE, SIZE_RULE, and whether our
-    mean is at most the published one), the same by the first flights (`first_*`), and a note.
+    (`n_ours`), the 95 % interval of the difference, the verdicts, the same by the first flights
+    (`first_*`), and a note. The verdicts are RULE's, whether ours is of the paper's size or better
+    (a one-sided test at 5 % does not find our mean larger: the lower end of the 90 % interval,
+    widened likewise, is not above 0), and whether our mean is at most the published one.
     """
     parts = []
     for duration_s, theirs in published.items():
