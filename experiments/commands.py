@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from experiments.lab.again import draw, recomputed, sources_of
-from experiments.lab.bridge import check_mesh
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import (
     CacheOption,
@@ -23,6 +22,7 @@ from experiments.lab.command import (
 )
 from experiments.lab.grid import GridConfig, grid_from_content, load_config
 from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
+from experiments.lab.recorded import check_mesh
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import How, Study, merge

@@ -35,8 +35,7 @@ from experiments.drawing.style import (
 from experiments.lab.grid import FigureConfig, GridConfig, configs_of
 from experiments.lab.summary import answered
 from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
-from experiments.paper.esim import method_order
-from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity
+from experiments.paper.esim import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity, method_order
 from sim.scene.flyers import quadrotor
 from ssac.config import N_MIN
 from ssac.errors import SsacError

@@ -17,9 +17,16 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cell import CRASHED, AnyCell
-from experiments.lab.files import SUMS_FILE, csv_text, read_checksums, read_table, sha256
 from experiments.lab.provenance import plain, processor, versions
-from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.results import (
+    PROVENANCE,
+    SUMS_FILE,
+    Results,
+    csv_text,
+    read_checksums,
+    read_table,
+    sha256,
+)
 from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
 from sim.errors import SimError
 from sim.render.gl_context import context_or_none

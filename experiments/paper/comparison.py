@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import gmean, norm
 from scipy.stats import t as student
 
-from experiments.paper.esim import DURATIONS_S
-from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
+from experiments.paper.esim import DURATIONS_S, R_ERROR, T_D_ERROR, T_ERROR
 from ssac.arrays import Array
 from ssac.errors import SsacError
 

@@ -12,14 +12,15 @@ from typing import Any, NamedTuple
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.lab.markdown import (
+from experiments.lab.summary import (
     UNKNOWN,
     markdown_table,
     means_with_stds,
     number,
     paragraph,
+    records,
+    shown_cells,
 )
-from experiments.lab.summary import records, shown_cells
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
     PUBLISHED_RUNS,
@@ -27,8 +28,14 @@ from experiments.paper.comparison import (
     VERDICTS,
     summary_table,
 )
-from experiments.paper.esim import method_order, pose_methods
-from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR, split_quantity
+from experiments.paper.esim import (
+    ERRORS,
+    POSE_ERRORS,
+    T_D_ERROR,
+    method_order,
+    pose_methods,
+    split_quantity,
+)
 
 
 class Table(NamedTuple):

@@ -20,10 +20,10 @@ from experiments.drawing.errors import (
     success_figure,
 )
 from experiments.drawing.style import STANDARD_ERROR, WIDTH_IN, method_looks, value_color
-from experiments.lab.files import DPI, png_bytes
 from experiments.lab.grid import GridConfig, named_config
+from experiments.lab.results import DPI, png_bytes
 from experiments.paper.comparison import load_published
-from experiments.paper.quantities import ERRORS
+from experiments.paper.esim import ERRORS
 from sim.recording import SimConfig
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError

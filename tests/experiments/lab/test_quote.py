@@ -6,9 +6,9 @@ import pytest
 
 from experiments import commands
 from experiments.commands import numbers_command
-from experiments.lab.markdown import digits, listed, markdown_table
 from experiments.lab.quote import rewrite_numbers, stale_numbers
 from experiments.lab.results import Results
+from experiments.lab.summary import digits, listed, markdown_table
 from experiments.studies import all_studies
 from ssac.errors import SsacError
 

@@ -9,8 +9,7 @@ import pytest
 
 from experiments import commands
 from experiments.commands import page_findings
-from experiments.lab.files import SUMS_FILE, record_checksums
-from experiments.lab.results import Results
+from experiments.lab.results import SUMS_FILE, Results, record_checksums
 from experiments.lab.study import Runs
 from experiments.lab.verify import (
     Finding,

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import gmean, ttest_ind_from_stats
 
-from experiments.lab.files import csv_text
+from experiments.lab.results import csv_text
 from experiments.lab.score import Score
 from experiments.paper.comparison import (
     PUBLISHED,
@@ -25,12 +25,13 @@ from experiments.paper.comparison import (
 from experiments.paper.esim import (
     ANGLES_DEG,
     DURATIONS_S,
+    ERRORS,
     RUN_COLUMNS,
     esim_tables,
     offset_ms,
+    split_quantity,
     table_cells,
 )
-from experiments.paper.quantities import ERRORS, split_quantity
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 

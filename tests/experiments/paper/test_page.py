@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.lab.summary import markdown_table, means_with_stds, number, paragraph
 from experiments.paper.comparison import PUBLISHED_RUNS, comparison_table, load_published
 from experiments.paper.esim import esim_tables
 from experiments.paper.page import results_page
