@@ -61,7 +61,7 @@ def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.
 
 def published_tables() -> dict[float, pd.DataFrame]:
     """Read the paper's physical tables, by duration [s]."""
-    return load_published(PUBLISHED, "mini", DURATIONS_S, _ERRORS)
+    return load_published(PUBLISHED, "mini", DURATIONS_S)
 
 
 def figure(runs: pd.DataFrame) -> Figure:
