@@ -201,11 +201,10 @@ def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
         _tell(outcomes, cache)
     for path in files:
         typer.echo(f"written to {path}")
-    rows = [outcome.runs for outcome in outcomes if outcome.n_crashed]
-    if not rows:
+    crashed = [of.runs[of.runs["status"] == CRASHED] for of in outcomes]
+    if not sum(map(len, crashed)):
         return
-    runs = pd.concat(rows, ignore_index=True)
-    reasons = runs["reason"][runs["status"] == CRASHED].astype(str)
+    reasons = pd.concat(crashed, ignore_index=True)["reason"].astype(str)
     if reasons.str.startswith(NOT_SIMULATED).all():
         reason = reasons.iloc[0].removeprefix(NOT_SIMULATED)
         raise SsacError(f"{len(reasons)} runs have no recording, the first of them: {reason}")
