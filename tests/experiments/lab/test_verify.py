@@ -7,8 +7,6 @@ from shutil import copytree
 
 import pytest
 
-from experiments import commands
-from experiments.commands import page_findings
 from experiments.lab.results import SUMS_FILE, Results, record_checksums
 from experiments.lab.study import Runs
 from experiments.lab.verify import (
@@ -234,25 +232,3 @@ def _is_stale(study, results, quoted) -> bool:
         return any(number(results) != quoted[name] for name, number in study.numbers.items())
     except SsacError:
         return True
-
-
-# --- Pages ---
-
-
-def test_a_number_typed_by_hand_or_deleted_from_a_page_is_found(tmp_path, monkeypatch):
-    write_squares(tmp_path / "results")
-    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": SQUARES})
-    page = tmp_path / "README.md"
-    for text, fault in (
-        ("The sum is <!--n:squares.sum-->29<!--/n-->.", None),
-        ("The sum is <!--n:squares.sum-->28<!--/n-->.", "squares.sum is '29', not '28'"),
-        ("The sum is 29.", "squares.sum is declared and no page quotes it"),
-        ("It is <!--n:squares.sum-->29<!--/n-->, <!--n:cubes-->3<!--/n-->.", "no such number"),
-    ):
-        page.write_text(text)
-        (finding,) = page_findings(tmp_path / "results")
-        if fault is None:
-            assert finding.faults == ()
-        else:
-            assert fault in finding.faults[0]
-    assert not page_findings(tmp_path)  # results of another place: no page quotes them
