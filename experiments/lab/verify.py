@@ -29,7 +29,6 @@ from experiments.lab.results import (
 )
 from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
 from sim.errors import SimError
-from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 
 _SHOWN = 5  # faults of one kind
@@ -149,15 +148,6 @@ def near(mine: float, other: float, digits: int) -> bool:
         return False
     unit = 10.0 ** (np.floor(np.log10(abs(other))) + 1 - digits) if other else 0.0
     return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: units are no binary numbers
-
-
-def same_driver(made_with: Iterable[Mapping[str, Any]]) -> bool:
-    """Return whether the OpenGL driver that drew a result is here; OSMesa and EGL draw alike."""
-    here = context_or_none()
-    drawn = [one.get("gl") or {} for one in made_with]
-    return here is not None and all(
-        (gl.get("renderer"), gl.get("version")) == (here.renderer, here.version) for gl in drawn
-    )
 
 
 def _each(
