@@ -7,7 +7,7 @@ the processor, and each kernel adds its terms in an order of its own.
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,12 +44,8 @@ _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
 """A number of a reason that is not a count: it has decimals, or a unit."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """One recording that was drawn, and the runs on it."""
-
-    study: Study
-    task: Task
+Drawn = tuple[Study, Task]
+"""One recording that was drawn: the runs on it, and whose they are."""
 
 
 def sources_of(
@@ -81,7 +77,7 @@ def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
         there = [study for study in turn if left[study.name]]
         there = there or [study for study in sources if left[study.name]]
         study = there[int(generator.integers(len(there)))]
-        drawn.append(Drawn(study, left[study.name].pop()))
+        drawn.append((study, left[study.name].pop()))
     return drawn
 
 
@@ -90,8 +86,8 @@ def recomputed(
 ) -> list[Finding]:
     """Make the runs on the drawn recordings again in an empty folder: one finding for each."""
     findings = []
-    for study in {one.study.name: one.study for one in drawn}.values():
-        tasks = [one.task for one in drawn if one.study.name == study.name]
+    for study in dict.fromkeys(study for study, _ in drawn):
+        tasks = [task for whose, task in drawn if whose is study]
         cells = [cell for task in tasks for cell in task.cells]
         outcome = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure)
         rows = rows_again(study, outcome.runs, cells)

@@ -13,9 +13,10 @@ of functions do not count: better prose changes no number.
 import ast
 import hashlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -272,5 +273,9 @@ def code_digest(*starts: str) -> str:
 
 @cache
 def package_versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Versions of the packages of others that are installed."""
-    return {name: version(name) for name in packages}
+    """Versions of packages of others; `pip install .` leaves out pyrender and its OpenGL."""
+    versions = dict.fromkeys(packages, "not installed")
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions

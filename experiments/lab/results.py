@@ -97,8 +97,12 @@ class Results:
 
     def provenances(self, name: str) -> list[dict[str, Any]]:
         """Read what `<name>` was made with: once, or once for each shard that was merged."""
-        content = json.loads(self.text(f"{name}{PROVENANCE}"))
-        return content["shards"] if content.get("command") == MERGED else [content]
+        file = f"{name}{PROVENANCE}"
+        try:
+            content = json.loads(self.text(file))
+            return content["shards"] if content.get("command") == MERGED else [content]
+        except (ValueError, AttributeError, KeyError) as error:
+            raise SsacError(f"{self.folder / file} holds no provenance: {error}") from error
 
     def minutes(self, name: str) -> float:
         """Return the wall time of the command that wrote `<name>.csv`, by its provenance."""

@@ -84,9 +84,11 @@ def run_cells(
         rows = [row for row in map(cache.load_run, some) if row is not None]
         if len(rows) == len(some):
             found[index] = rows
-    # The longest first, so that no worker is left alone with one at the end.
-    left = [index for index in range(len(keys)) if index not in found]
-    left.sort(key=lambda index: (-work.tasks[index].cost_s, index))
+    # The longest flights first, so that no worker is left alone with one at the end.
+    left = sorted(
+        (index for index in range(len(keys)) if index not in found),
+        key=lambda index: -sum(sim.spline.duration_s for sim, _ in work.tasks[index].recordings),
+    )
     n_simulated, peak_mb = 0, 0.0
     if left:
         check_folder(cache.folder)

@@ -39,7 +39,7 @@ def results(tmp_path) -> Path:
 
 
 def names(drawn: list[Drawn]) -> list[tuple]:
-    return [(one.study.name, one.task.recordings) for one in drawn]
+    return [(study.name, task.recordings) for study, task in drawn]
 
 
 def test_what_is_drawn() -> None:
@@ -52,9 +52,9 @@ def test_what_is_drawn() -> None:
     drawn = [name for name, _ in names(draw(sources, 40, 1))]
     assert drawn[::2] == ["tables"] * 20
     assert "tables" not in drawn[1::2]
-    (one,) = draw(sources, 1, 0)
-    assert {cell.method for cell in one.task.cells} == {method.name for method in OURS}
-    assert {cell.t_d_s for cell in one.task.cells} == {0.005, 0.05, 0.5}
+    ((_, one),) = draw(sources, 1, 0)
+    assert {cell.method for cell in one.cells} == {method.name for method in OURS}
+    assert {cell.t_d_s for cell in one.cells} == {0.005, 0.05, 0.5}
 
 
 def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:

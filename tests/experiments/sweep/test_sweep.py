@@ -33,13 +33,6 @@ def test_every_run_is_a_row_and_every_parameter_a_column(whole):
     assert {"commit", "versions", "wall_time_s", "command"} <= set(content)
 
 
-def test_two_processes_write_the_same_bytes(folder, config, whole):
-    out = folder / "two.csv"
-    cache = without_runs(folder, "cache_two")
-    assert sweep(config, out, cache, "--workers", "2").exit_code == 0
-    assert out.read_bytes() == whole.read_bytes()
-
-
 def test_merged_shards_are_the_same_bytes(folder, config, whole):
     parts = []
     for index in (1, 2):
