@@ -128,22 +128,12 @@ def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
         ("joint", "n_samples", "350", "349", False),
         ("joint", "n_samples", "350", "350.1", False),
         ("joint", "reason", "", "no reason", False),
-        (
-            "joint",
-            "t_d_error_ms",
-            "0.0658834",
-            "0.0658835",
-            True,
-        ),  # as on a processor without AVX-512
+        # As on a processor without AVX-512.
+        ("joint", "t_d_error_ms", "0.0658834", "0.0658835", True),
         ("joint", "t_d_estimate_ms", "999999", "1e+06", True),
         ("joint", "r_z_normalised", "-1.00001", "-1", True),
-        (
-            "joint",
-            "t_d_error_ms",
-            "2.84217e-14",
-            "0",
-            True,
-        ),  # the difference of two that are nearly equal
+        # The difference of two that are nearly equal.
+        ("joint", "t_d_error_ms", "2.84217e-14", "0", True),
         ("joint", "t_d_error_ms", "3.99794e-05", "3.99771e-05", True),
         ("joint", "n_events_cam1", "1234567", "1.23457e+06", True),  # a count that a table rounds
         # One that follows a body may differ by a little more.
