@@ -1,6 +1,6 @@
 """Cells to rows to files: resumed, in shards, with crashes, with others on it, with deaths.
 
-Real processes that share a cache or die are in `tests/experiments/sweep`.
+Real processes that share a cache or die are in `test_sweep.py`.
 """
 
 import json
