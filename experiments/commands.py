@@ -2,14 +2,13 @@
 
 import secrets
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from experiments.lab.again import draw, recomputed, sources_of
-from experiments.lab.bridge import check_mesh
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import (
     CacheOption,
@@ -23,10 +22,11 @@ from experiments.lab.command import (
 )
 from experiments.lab.grid import GridConfig, grid_from_content, load_config
 from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
+from experiments.lab.recorded import check_mesh
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import How, Study, merge
-from experiments.lab.verify import Finding, file_findings, found, shared_findings, study_findings
+from experiments.lab.verify import Finding, file_findings, found, study_findings
 from experiments.paper.comparison import PUBLISHED_SHA256
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
@@ -189,7 +189,10 @@ def verify_command(
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
     studies = all_studies()
     sources = sources_of(studies, slow, only)
-    failed = _report(committed_findings(results, studies))
+    kept = Results(results)
+    committed = [study for study in studies.values() if study.is_committed]
+    failed = _report(file_findings(results, committed, PUBLISHED_SHA256))
+    failed += sum(_report(study_findings(study, kept)) for study in committed)
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
@@ -198,21 +201,10 @@ def verify_command(
         typer.echo(f"recordings drawn by: ssac verify {options}")
         drawn = draw(sources, recordings, seed)
         with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
-            kept = Results(results)
             failed += _report(recomputed(drawn, kept, Path(folder), Workers(workers)))
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
     if failed:
         raise typer.Exit(1)
-
-
-def committed_findings(folder: Path, studies: Mapping[str, Study]) -> list[Finding]:
-    """Check all that can be checked of a folder of results without running anything again."""
-    committed = [study for study in studies.values() if study.is_committed]
-    results = Results(folder)
-    findings = list(file_findings(folder, committed, PUBLISHED_SHA256))
-    for study in committed:
-        findings += study_findings(study, results)
-    return findings + list(shared_findings(committed, results))
 
 
 def page_findings(results: Path) -> list[Finding]:
@@ -258,9 +250,10 @@ def _checked(grid: GridConfig) -> GridConfig:
     return grid
 
 
-def _report(findings: Sequence[Finding]) -> int:
+def _report(findings: Iterable[Finding]) -> int:
     """Print findings; return how many differ."""
+    n_differ = 0
     for finding in findings:
-        for line in finding.lines():
-            typer.echo(line)
-    return sum(bool(finding.faults) for finding in findings)
+        typer.echo("\n".join(finding.lines()))
+        n_differ += bool(finding.faults)
+    return n_differ

@@ -18,9 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trimesh.creation import box
 
-from experiments.lab.bridge import check_mesh
 from experiments.lab.cache import BRIGHTNESS_CODE, Cache, row_of_text, text_of_row
 from experiments.lab.grid import CONFIGS, load_config
+from experiments.lab.recorded import check_mesh
 from experiments.worlds.bound import load_truth
 from sim.errors import SimError
 from sim.scene.trajectory import trajectory_from_csv

@@ -38,7 +38,7 @@ for name, camera in zip(("camera 1", "camera 2"), recording.cameras, strict=True
 # together.
 
 import ssac
-from experiments.lab.bridge import observations, rig_of
+from experiments.lab.recorded import observations, rig_of
 
 cam1, cam2 = observations(recording)
 rig = rig_of(recording)  # intrinsics only

@@ -35,11 +35,9 @@ from experiments.drawing.style import (
 from experiments.lab.grid import FigureConfig, GridConfig, configs_of
 from experiments.lab.summary import answered
 from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
-from experiments.paper.esim import method_order
-from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity
+from experiments.paper.esim import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity, method_order
 from sim.scene.flyers import quadrotor
 from ssac.config import N_MIN
-from ssac.errors import SsacError
 
 REFINED = ("ssac", "joint", "tangency")
 """Methods without the extrinsics, from the paper's on; each starts from the one before."""
@@ -121,11 +119,9 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
     """Draw what REFINED gain over the paper, beside the marks that `tangency` is to reach.
 
-    A method without runs is left out; SsacError if no run is of one of REFINED.
+    A method without runs is left out.
     """
     methods = [method for method in REFINED if method in set(runs["method"])]
-    if not methods:
-        raise SsacError(f"expected runs of {', '.join(REFINED)}, got none of these")
     looks = method_looks(methods)
     ends: dict[str, list[float]] = {error: [] for error in ERRORS}
 
@@ -146,11 +142,11 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
             within += [*lower, *(means["mean"] + means["standard_error"])]
         axes.set_ylim(0.9 * min(within), 1.1 * max(within))
 
-    first = Line2D([], [], color=_PAPER.color, marker="*", ls=":", ms=9, label="the paper")
+    first = _named(("the paper", {"color": _PAPER.color, "marker": "*", "ls": ":", "ms": 9}))
     mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
     others = STANDARD_ERROR, mark, *_survivors(runs[runs["method"].isin(methods)])
     title = "Mean errors of each refinement, beside the paper's"
-    return _error_grid(title, runs, 8.4, draw, [first, *_handles(looks, 1.2, *others)])
+    return _error_grid(title, runs, 8.4, draw, first + _handles(looks, 1.2, *others))
 
 
 def _survivors(runs: pd.DataFrame) -> list[Named]:
@@ -315,10 +311,8 @@ def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **
 
 def _handles(looks: Mapping[str, Look], width: float, *others: Named) -> list[Line2D]:
     """Name looks in a legend, then other marks."""
-    named = [
-        Line2D([], [], lw=width, ms=5, label=name, **look.style) for name, look in looks.items()
-    ]
-    return named + _named(*others)
+    of_looks = [(name, {"lw": width, "ms": 5, **look.style}) for name, look in looks.items()]
+    return _named(*of_looks, *others)
 
 
 def _named(*marks: Named) -> list[Line2D]:
@@ -326,20 +320,11 @@ def _named(*marks: Named) -> list[Line2D]:
 
 
 def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
-    """Draw an ablation of its means, one row for each point of the grid and method.
-
-    SsacError if the means lack a column.
-    """
+    """Draw an ablation of its means, one row for each point of the grid and method."""
     look = grid.figure
     assert look is not None
     # Each axis of the grid, but for the one on which x moves, by its first parameter.
     others = [next(iter(axis[0])) for axis in grid.axes if look.x not in axis[0]]
-    columns = [look.x, *others, "method", "n_runs", FAILED]
-    columns += [f"{error}_{part}" for error in ERRORS for part in ("mean", "std")]
-    absent = [column for column in columns if column not in means]
-    if absent:
-        raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
-
     methods = method_order(means["method"])
     labels = {
         name: error.label for name, error in ERRORS.items() if means[f"{name}_mean"].notna().any()
@@ -363,14 +348,12 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
     figure.supxlabel(look.label, fontsize=10)
     said = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
-    handles = [
-        *(
-            Line2D([], [], label=name, lw=1.2, ms=4.5, **style)
-            for name, (_, style) in lines.items()
-        ),
-        Line2D([], [], color="0.4", ls="--" if on_axis else "none", label=said),
-        *_named(STANDARD_ERROR, *([SURVIVORS] if FAILED in labels else [])),
-    ]
+    handles = _named(
+        *((name, {"lw": 1.2, "ms": 4.5, **style}) for name, (_, style) in lines.items()),
+        (said, {"color": "0.4", "ls": "--" if on_axis else "none"}),
+        STANDARD_ERROR,
+        *([SURVIVORS] if FAILED in labels else []),
+    )
     figure.legend(
         handles=handles,
         loc="outside upper center",

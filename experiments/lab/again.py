@@ -7,7 +7,7 @@ the processor, and each kernel adds its terms in an order of its own.
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from experiments.lab.results import Results
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.study import CELL, How, Runs, Study, runs_text
 from experiments.lab.task import Task, tasks_of
-from experiments.lab.verify import Finding, cells_of, found, near, same_driver, table_of_texts
+from experiments.lab.verify import Finding, cells_of, found, near, table_of_texts
 from ssac.errors import SsacError
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS
 
@@ -44,18 +44,17 @@ _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
 """A number of a reason that is not a count: it has decimals, or a unit."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """One recording that was drawn, and the runs on it."""
-
-    study: Study
-    task: Task
+Drawn = tuple[Study, Task]
+"""One recording that was drawn: the runs on it, and whose they are."""
 
 
 def sources_of(
     studies: Mapping[str, Study], slow: bool = False, only: str | None = None
 ) -> list[Study]:
-    """List the studies to draw from; those that take minutes a recording only if asked for."""
+    """List the studies to draw from; those that take minutes a recording only if asked for.
+
+    What OpenGL draws is drawn by no two drivers alike: its recordings are left out.
+    """
     able = {
         name: study
         for name, study in studies.items()
@@ -78,7 +77,7 @@ def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
         there = [study for study in turn if left[study.name]]
         there = there or [study for study in sources if left[study.name]]
         study = there[int(generator.integers(len(there)))]
-        drawn.append(Drawn(study, left[study.name].pop()))
+        drawn.append((study, left[study.name].pop()))
     return drawn
 
 
@@ -87,8 +86,8 @@ def recomputed(
 ) -> list[Finding]:
     """Make the runs on the drawn recordings again in an empty folder: one finding for each."""
     findings = []
-    for study in {one.study.name: one.study for one in drawn}.values():
-        tasks = [one.task for one in drawn if one.study.name == study.name]
+    for study in dict.fromkeys(study for study, _ in drawn):
+        tasks = [task for whose, task in drawn if whose is study]
         cells = [cell for task in tasks for cell in task.cells]
         outcome = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure)
         rows = rows_again(study, outcome.runs, cells)
@@ -97,7 +96,7 @@ def recomputed(
             flight = dict(task.cells[0].columns)
             where = ", ".join(f"{key} {value}" for key, value in flight.items())
             what = f"{_runs(study).file}: {len(mine)} runs on the recording of {where}"
-            findings.append(found(what, partial(compared, mine, study, task, results)))
+            findings.append(found(what, partial(compared, mine, study, results)))
     return findings
 
 
@@ -109,17 +108,11 @@ def rows_again(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> pd
     return table_of_texts(runs_text(_runs(study), runs))
 
 
-def compared(rows: pd.DataFrame, study: Study, task: Task, results: Results) -> tuple[str, ...]:
+def compared(rows: pd.DataFrame, study: Study, results: Results) -> tuple[str, ...]:
     """Compare rows made again with the committed ones."""
     kept = _runs(study)
     committed = table_of_texts(results.text(kept.file))
-    keys = (CELL,) if kept.numbered else kept.keys
-    made_with = results.provenances(kept.file.removesuffix(".csv"))
-    by_gl = any(sim.render.renderer == "pyrender" for sim, _ in task.recordings)
-    if by_gl and not same_driver(made_with):
-        shown = [*keys, "status", "reason"]  # what another driver draws is not the same
-        rows, committed = rows[shown], committed[shown]
-    return row_faults(rows, committed, keys, measured_by(study), kept)
+    return row_faults(rows, committed, measured_by(study), kept)
 
 
 def measured_by(study: Study) -> frozenset[str]:
@@ -128,13 +121,10 @@ def measured_by(study: Study) -> frozenset[str]:
 
 
 def row_faults(
-    again: pd.DataFrame,
-    committed: pd.DataFrame,
-    keys: Sequence[str],
-    measured: Collection[str],
-    kept: Runs,
+    again: pd.DataFrame, committed: pd.DataFrame, measured: Collection[str], kept: Runs
 ) -> tuple[str, ...]:
     """Compare rows with the committed ones of the same keys, all as texts."""
+    keys = (CELL,) if kept.numbered else kept.keys
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
     faults = []
     for row in again.to_dict("records"):
@@ -197,7 +187,11 @@ def _alike_in_words(mine: str, other: str) -> bool:
 def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
     ours = {method.name for method in OURS}  # another package may have added a method
     cells = [cell for cell in cells_of(study) if getattr(cell, "method", None) in {None, *ours}]
-    tasks = tasks_of(cells)
+    tasks = [
+        task
+        for task in tasks_of(cells)
+        if all(sim.render.renderer == "native" for sim, _ in task.recordings)
+    ]
     return [tasks[index] for index in generator.permutation(len(tasks))]
 
 

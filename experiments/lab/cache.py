@@ -33,7 +33,7 @@ from filelock import SoftFileLease, Timeout
 from numpy.typing import NDArray
 
 from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
-from experiments.lab.files import sha256
+from experiments.lab.results import sha256
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record

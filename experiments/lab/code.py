@@ -13,9 +13,10 @@ of functions do not count: better prose changes no number.
 import ast
 import hashlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +48,8 @@ class Code:
     """A module, or one statement at its top level: what it does without its prose, and uses."""
 
     digest: str
-    names: frozenset[str]  # that it mentions, of its module or not
+    words: frozenset[str]  # names that it mentions, and strings, which may name code as well
     imports: frozenset[tuple[str, Use]]  # of our packages, with the name that each has here
-    strings: frozenset[str]  # that may name a module or a definition
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class SourceTree:
             return [*uses, *self._inside((f"{module}.",) if name else ())]
         if module.partition(".")[0] != BY_DEFINITIONS:
             found.add(module)
-            return [*uses, *self._named(source.whole.strings)]
+            return [*uses, *self._named(source.whole.words)]
         if name in source.imports:
             return [source.imports[name]]
         chosen = {name, _ALWAYS} & set(source.definitions)
@@ -131,16 +131,16 @@ class SourceTree:
     def _uses_of(self, module: str, source: Source, code: Code) -> Iterator[Use]:
         """Yield what a definition uses, of its own module or of others."""
         yield from (use for _, use in code.imports)
-        yield from self._named(code.strings)
-        for mentioned in code.names | code.strings:
+        yield from self._named(code.words)
+        for mentioned in code.words:
             if mentioned in source.definitions and mentioned != _ALWAYS:
                 yield module, mentioned
             elif mentioned in source.imports:
                 yield source.imports[mentioned]
 
-    def _named(self, strings: Iterable[str]) -> list[Use]:
+    def _named(self, words: Iterable[str]) -> list[Use]:
         """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
-        names = {text.partition(":")[0] for text in strings if "." in text}
+        names = {text.partition(":")[0] for text in words if "." in text}
         folders = tuple(f"{name}." for name in names if self._path(f"{name}.__init__"))
         return [(name, "") for name in names if self._path(name)] + self._inside(folders)
 
@@ -210,12 +210,12 @@ def read_source(text: str) -> Source:
 
 def _code(tree: ast.AST) -> Code:
     imports: set[tuple[str, Use]] = set()
-    names, strings = set(), set()
+    words: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Name):
-            names.add(node.id)
+            words.add(node.id)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            strings.add(node.value)
+            words.add(node.value)
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 imports.add((alias.asname or alias.name.partition(".")[0], (alias.name, "")))
@@ -224,24 +224,20 @@ def _code(tree: ast.AST) -> Code:
                 imports.add((alias.asname or alias.name, (str(node.module), alias.name)))
     ours = frozenset(one for one in imports if one[1][0].partition(".")[0] in PACKAGES)
     digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
-    return Code(digest, frozenset(names), ours, frozenset(strings))
+    return Code(digest, frozenset(words), ours)
 
 
 def _bound(line: ast.stmt) -> set[str]:
     """Names that a statement binds; _ALWAYS among them where it may do something else too."""
     if isinstance(line, _DEFINING):
-        may_register = any(_decorator(one) not in _HARMLESS for one in line.decorator_list)
+        called = (ast.unparse(one).partition("(")[0] for one in line.decorator_list)
+        may_register = {name.rpartition(".")[2] for name in called} - _HARMLESS
         return {line.name} | ({_ALWAYS} if may_register else set())
     inside = list(ast.walk(line))
     stored = {
         one.id for one in inside if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)
     }
     return stored | {one.name for one in inside if isinstance(one, _DEFINING)} or {_ALWAYS}
-
-
-def _decorator(node: ast.expr) -> str:
-    called = node.func if isinstance(node, ast.Call) else node
-    return called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
 
 
 def _is_prose(line: ast.stmt) -> bool:
@@ -272,5 +268,9 @@ def code_digest(*starts: str) -> str:
 
 @cache
 def package_versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Versions of the packages of others that are installed."""
-    return {name: version(name) for name in packages}
+    """Versions of packages of others; `pip install .` leaves out pyrender and its OpenGL."""
+    versions = dict.fromkeys(packages, "not installed")
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions

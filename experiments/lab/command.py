@@ -201,15 +201,14 @@ def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
         _tell(outcomes, cache)
     for path in files:
         typer.echo(f"written to {path}")
-    rows = [outcome.runs for outcome in outcomes if outcome.n_crashed]
-    if not rows:
+    crashed = (of.runs["reason"][of.runs["status"] == CRASHED] for of in outcomes)
+    reasons = [reason for of_study in crashed for reason in of_study]
+    if not reasons:
         return
-    runs = pd.concat(rows, ignore_index=True)
-    reasons = runs["reason"][runs["status"] == CRASHED].astype(str)
-    if reasons.str.startswith(NOT_SIMULATED).all():
-        reason = reasons.iloc[0].removeprefix(NOT_SIMULATED)
+    if all(reason.startswith(NOT_SIMULATED) for reason in reasons):
+        reason = reasons[0].removeprefix(NOT_SIMULATED)
         raise SsacError(f"{len(reasons)} runs have no recording, the first of them: {reason}")
-    theirs = reasons.str.contains(f" {PluginError.__name__}: ").all()
+    theirs = all(f" {PluginError.__name__}: " in reason for reason in reasons)
     whose = "other packages' methods" if theirs else "this program"
     typer.echo(
         f"error: a bug in {whose}: {len(reasons)} runs crashed, their reasons are in the rows; run"

@@ -5,13 +5,12 @@ import platform
 import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from llvmlite.binding import get_host_cpu_name
 
+from experiments.lab.code import package_versions
 from sim.render.gl_context import GLContext
 from ssac.files.whole_file import whole_file
 
@@ -57,17 +56,9 @@ def code_commit() -> str:
     return f"{commit}-dirty" if changed else commit
 
 
-@cache
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that numbers depend on."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:  # pyrender and its OpenGL, which `pip install .` leaves out
-        return "not installed"
+    return {"python": platform.python_version(), **package_versions(_PACKAGES)}
 
 
 def processor() -> str:

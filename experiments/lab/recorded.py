@@ -1,6 +1,7 @@
-"""What two cameras of a recording saw, and the rig with the true pose."""
+"""Where `sim` meets `ssac`: what an estimator is given of a recording, and the truth beside it."""
 
 import json
+import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import astuple, dataclass, field
 from functools import cached_property
@@ -10,12 +11,17 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
+from sim.errors import SimError
+from sim.recorded import CameraRecording, Flight, Recording
 from sim.recording import SimConfig
+from sim.scene.drone import drone_from_file
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
 from ssac.config import Cleaning
+from ssac.errors import SsacError
 from ssac.files.hdf5 import load_events_h5
+from ssac.files.readable import readable
 from ssac.files.rigs import load_rig
 from ssac.track.clean import Clean, clean
 from ssac.track.denoise import Clutter
@@ -147,3 +153,36 @@ def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:
         on_line=on_line if len(on_line) else None,
         recorded=lambda: load_events_h5(path).events,
     )
+
+
+def observations(recording: Recording) -> tuple[Observation, Observation]:
+    """Return what the first two cameras recorded, and nothing of the truth."""
+    first, second = (_observation(camera) for camera in recording.cameras[:2])
+    return first, second
+
+
+def rig_of(recording: Recording | Flight, with_extrinsics: bool = False) -> Rig:
+    """Return the intrinsics, and the true extrinsics only when asked for."""
+    cam1, cam2 = (
+        Camera(one.K, one.width, one.height, one.distortion_model, one.distortion_coeffs)
+        for one in recording.rig.cameras[:2]
+    )
+    T_2_1 = recording.rig.relative_pose(0, 1) if with_extrinsics else None
+    return Rig(cam1, cam2, T_2_1)
+
+
+def check_mesh(path: Path) -> None:
+    """Raise SsacError, before any work is done, for a drone's mesh that cannot be used."""
+    with readable(path, "the mesh of a drone"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the error says it
+        try:
+            drone_from_file(path)
+        except SimError as error:
+            raise SsacError(str(error)) from error
+
+
+def _observation(recording: CameraRecording) -> Observation:
+    frames = recording.frames
+    if not len(frames.images):
+        return Observation(recording.events)
+    return Observation(recording.events, frames.images, frames.times_us.astype(np.float64) * 1e-6)

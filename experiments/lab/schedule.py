@@ -8,7 +8,7 @@ import os
 import tempfile
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -61,11 +61,6 @@ class Outcome:
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
     n_deaths: int = 0  # of workers of this machine, which were replaced
 
-    @property
-    def n_crashed(self) -> int:
-        """Number of runs that crashed."""
-        return int((self.runs["status"] == CRASHED).sum())
-
 
 def run_cells(
     cells: Sequence[AnyCell],
@@ -89,26 +84,36 @@ def run_cells(
         rows = [row for row in map(cache.load_run, some) if row is not None]
         if len(rows) == len(some):
             found[index] = rows
-    # The longest first, so that no worker is left alone with one at the end.
-    left = [index for index in range(len(keys)) if index not in found]
-    left.sort(key=lambda index: (-work.tasks[index].cost_s, index))
+    # The longest flights first, so that no worker is left alone with one at the end.
+    left = sorted(
+        (index for index in range(len(keys)) if index not in found),
+        key=lambda index: -sum(sim.spline.duration_s for sim, _ in work.tasks[index].recordings),
+    )
     n_simulated, peak_mb = 0, 0.0
     if left:
         check_folder(cache.folder)
     cache.tidy()
-    with (
-        _resumable(found, keys, cache),
-        progress(len(left), label, is_shown=show_progress) as advance,
-        _pool(workers or Workers(), len(left)) as pool,
-    ):
-        for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
-            found[index] = done.rows
-            for key, row in zip(keys[index], done.rows, strict=True):
-                if row["status"] != CRASHED:
-                    cache.save_run(key, row)  # a worker elsewhere has a folder of its own
-            n_simulated += done.n_simulated
-            peak_mb = max(peak_mb, done.peak_mb)
-            advance(n_done)
+    try:
+        with (
+            progress(len(left), label, is_shown=show_progress) as advance,
+            _pool(workers or Workers(), len(left)) as pool,
+        ):
+            for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
+                found[index] = done.rows
+                for key, row in zip(keys[index], done.rows, strict=True):
+                    if row["status"] != CRASHED:
+                        cache.save_run(key, row)  # a worker elsewhere has a folder of its own
+                n_simulated += done.n_simulated
+                peak_mb = max(peak_mb, done.peak_mb)
+                advance(n_done)
+    except (KeyboardInterrupt, SystemExit, WriteError):
+        say(
+            f"stopped: {len(found)} of {len(keys)} recordings are done and kept in {cache.folder};"
+            " the same command goes on from there"
+        )
+        raise
+    finally:
+        cache.tidy()
     by_cell = {
         id(cell): row
         for index, task in enumerate(work.tasks)
@@ -116,21 +121,6 @@ def run_cells(
     }
     runs = _frame(cells, [by_cell[id(cell)] for cell in cells], measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
-
-
-@contextmanager
-def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
-    """Say how to go on when the block is interrupted or terminated, and leave nothing half-made."""
-    try:
-        yield
-    except (KeyboardInterrupt, SystemExit, WriteError):
-        say(
-            f"stopped: {len(found)} of {len(tasks)} recordings are done and kept in {cache.folder};"
-            " the same command goes on from there"
-        )
-        raise
-    finally:
-        cache.tidy()
 
 
 def _pool(workers: Workers, n_tasks: int) -> Pool:

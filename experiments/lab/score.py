@@ -96,7 +96,7 @@ def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
     """Give POSE_SCORES of an estimate, NaN if it has no covariance; parameters as for `score`."""
     if estimate.covariance is None or estimate.R is None or estimate.t is None:
         return dict.fromkeys(POSE_SCORES, np.nan)
-    errors_rad = pose_errors_rad(estimate.R, estimate.t, R, t)
+    errors_rad = -pose_step(estimate.R, estimate.t, R, t)
     covariance = estimate.covariance[1:, 1:]
     mahalanobis = (
         float(np.sqrt(errors_rad[of] @ np.linalg.solve(covariance[of, of], errors_rad[of])))
@@ -105,11 +105,6 @@ def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
     normalised = (errors_rad / np.sqrt(np.diag(covariance))).tolist()
     values = (estimate.r_std_deg, estimate.t_std_deg, *mahalanobis, *normalised)
     return dict(zip(POSE_SCORES, values, strict=True))
-
-
-def pose_errors_rad(R: Array, t: Array, R_true: Array, t_true: Array) -> Array:
-    """Errors (5,) of a pose: the step that `moved_pose` would take to the truth, negated."""
-    return -pose_step(R, t, R_true, t_true)
 
 
 def rotation_angle_deg(R: Array) -> float:

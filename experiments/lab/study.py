@@ -19,9 +19,17 @@ import pandas as pd
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import AnyCell, Flight, Measure
-from experiments.lab.files import csv_text, png_bytes, read_table, record_checksums, save_text
 from experiments.lab.provenance import provenance, write_provenance
-from experiments.lab.results import MERGED, PROVENANCE, Results
+from experiments.lab.results import (
+    MERGED,
+    PROVENANCE,
+    Results,
+    csv_text,
+    png_bytes,
+    read_table,
+    record_checksums,
+    save_text,
+)
 from experiments.lab.schedule import Outcome, Workers, run_alone, run_cells
 from experiments.lab.task import tasks_of
 from sim.render.gl_context import context_or_none

@@ -28,11 +28,6 @@ class Task:
         recordings: tuple[Flight, ...] = self.cells[0].recordings
         return recordings
 
-    @property
-    def cost_s(self) -> float:
-        """How long it takes, roughly and relative to others: the duration of its recordings."""
-        return sum(sim.spline.duration_s for sim, _ in self.recordings)
-
 
 def tasks_of(cells: Sequence[Any]) -> list[Task]:
     """Group cells by recordings, in the order in which these first appear."""

@@ -17,12 +17,18 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cell import CRASHED, AnyCell
-from experiments.lab.files import SUMS_FILE, csv_text, read_checksums, read_table, sha256
 from experiments.lab.provenance import plain, processor, versions
-from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.results import (
+    PROVENANCE,
+    SUMS_FILE,
+    Results,
+    csv_text,
+    read_checksums,
+    read_table,
+    sha256,
+)
 from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
 from sim.errors import SimError
-from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 
 _SHOWN = 5  # faults of one kind
@@ -92,16 +98,6 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
         yield found(f"{study.name}: {what}", partial(check, results))
 
 
-def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Finding]:
-    """Check that runs that several studies measure alike are the same in the files of all."""
-    seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
-    for study in studies:
-        if study.runs is None or study.runs.table is not None or study.how is not How.SHARED:
-            continue
-        what = f"{study.runs.file} has the rows of other files where the runs are the same"
-        yield found(what, partial(_unlike_others, study, results, seen))
-
-
 def provenance_faults(
     results: Results, name: str, command: str, config: Mapping[str, Any]
 ) -> Iterator[str]:
@@ -142,15 +138,6 @@ def near(mine: float, other: float, digits: int) -> bool:
         return False
     unit = 10.0 ** (np.floor(np.log10(abs(other))) + 1 - digits) if other else 0.0
     return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: units are no binary numbers
-
-
-def same_driver(made_with: Iterable[Mapping[str, Any]]) -> bool:
-    """Return whether the OpenGL driver that drew a result is here; OSMesa and EGL draw alike."""
-    here = context_or_none()
-    drawn = [one.get("gl") or {} for one in made_with]
-    return here is not None and all(
-        (gl.get("renderer"), gl.get("version")) == (here.renderer, here.version) for gl in drawn
-    )
 
 
 def _each(
@@ -301,29 +288,6 @@ def _with_last_digits_of(text: str, again: str, digits: int) -> str:
         is_near = [near(*pair, digits) for pair in zip(a, b, strict=True)]
         mine[name] = mine[name].where(~np.array(is_near, dtype=bool), theirs[name])
     return csv_text(mine)
-
-
-def _unlike_others(
-    study: Study, results: Results, seen: dict[Any, tuple[str, Mapping[str, str]]]
-) -> Iterator[str]:
-    assert study.runs is not None
-    cells, file = cells_of(study), study.runs.file
-    table = table_of_texts(results.text(file))
-    if len(table) != len(cells):
-        cells = [cell for cell in cells if getattr(cell, "method", "") in set(table["method"])]
-    own = {"cell", *study.runs.took, *(cells[0].columns if cells else ())}
-    measured = table[[name for name in table if name not in own]]
-    rows: list[dict[str, str]] = measured.to_dict("records")  # type: ignore[assignment]
-    for number, (cell, row) in enumerate(zip(cells, rows, strict=True)):
-        try:
-            key = (study.measure.row, cell.recordings, cell.inputs)
-            where, other = seen.setdefault(key, (f"{file}, row {number}", row))
-        except TypeError:  # inputs that have no hash
-            return
-        for name in row:
-            if name in other and other[name] != row[name]:
-                yield f"row {number}: {name} is {row[name]}, there {other[name]} ({where})"
-                break
 
 
 def _short(line: str) -> str:

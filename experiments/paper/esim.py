@@ -1,10 +1,11 @@
-"""The paper's simulation tables: their grids, and rows by angle and offset, made of runs.
+"""The paper's simulation tables: their grids, what they measure, and their rows, made of runs.
 
 A run is one method on one flight with one offset. Whether all are there, each once, is for
 `lab.study.check_runs` to say; failed runs are counted, and enter no mean.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -12,10 +13,59 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.grid import Cell, GridConfig, flight_seed, named_config
-from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from sim.recording import SimConfig
 from ssac.errors import SsacError
 from ssac.pipeline.registry import METHODS
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One error of an estimate; less is better."""
+
+    parameter: str  # of the pose and the clock: start of its columns
+    unit: str  # end of its columns
+    symbol: str  # in plain text
+    tex: str  # in a figure
+    mark: float  # that no cell's mean of `tangency` is to exceed
+
+    @property
+    def column(self) -> str:
+        """Name in tables of runs."""
+        return f"{self.parameter}_error_{self.unit}"
+
+    @property
+    def heading(self) -> str:
+        """Head of a column in plain text."""
+        return f"{self.symbol} [{self.unit}]"
+
+    @property
+    def label(self) -> str:
+        """Of a figure's axis."""
+        return f"error of {self.tex} [{self.unit}]"
+
+
+T_D_ERROR = Quantity("t_d", "ms", "t_d", "$t_d$", 0.05)
+R_ERROR = Quantity("r", "deg", "R", "R", 0.1)
+T_ERROR = Quantity("t", "deg", "t", "t", 0.05)
+
+ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
+"""All of them, by their columns."""
+
+NOISY_T_D_MARK_MS = 0.1
+"""The mark of t_d on the tables' flights with the noise of a DAVIS346."""
+
+POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
+
+ANGLE_LABEL = "angle between the lines of sight [deg]"
+
+
+def split_quantity(text: str) -> tuple[str, str]:
+    """Split `<method>_<error>`; the error is empty when the text ends in none."""
+    for error in ERRORS:
+        if text.endswith(f"_{error}"):
+            return text.removesuffix(f"_{error}"), error
+    return text, ""
+
 
 TABLES = ("esim_10", "esim_20")
 """Configurations of the paper's simulation tables: one for each duration."""

@@ -23,16 +23,13 @@ from markupsafe import Markup, escape
 
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import CacheOption
-from experiments.lab.files import save_text
 from experiments.lab.grid import config_names, named_config
-from experiments.lab.markdown import digits
-from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.results import PROVENANCE, Results, save_text
 from experiments.lab.score import Score, score
-from experiments.lab.summary import answered
+from experiments.lab.summary import answered, digits
 from experiments.paper.comparison import VERDICTS
-from experiments.paper.esim import esim_tables
+from experiments.paper.esim import ERRORS, esim_tables
 from experiments.paper.page import page_content
-from experiments.paper.quantities import ERRORS
 from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
 from sim.errors import SimError

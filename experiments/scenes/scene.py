@@ -6,8 +6,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from experiments.lab.bridge import observations, rig_of
-from experiments.lab.markdown import markdown_table
+from experiments.lab.recorded import observations, rig_of
+from experiments.lab.summary import markdown_table
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 from scipy.spatial.transform import Rotation
 
-from experiments.lab.bridge import check_mesh, rig_of
 from experiments.lab.cache import recording_bytes
 from experiments.lab.provenance import plain, versions
+from experiments.lab.recorded import check_mesh, rig_of
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed

@@ -14,13 +14,12 @@ from scipy.stats import t as student
 
 from experiments.drawing.style import Figure, legend_below, mark_survivors, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
-from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Runs, Study
-from experiments.lab.summary import answered, by_group, made_of, statistics
+from experiments.lab.summary import answered, by_group, digits, made_of, markdown_table, statistics
 from experiments.lab.verify import scored_checks
-from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, POSE_ERRORS, R_ERROR, T_D_ERROR
+from experiments.paper.esim import ERRORS, NOISY_T_D_MARK_MS, POSE_ERRORS, R_ERROR, T_D_ERROR
 
 PREFIX = "ablation_"
 

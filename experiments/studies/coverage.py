@@ -15,11 +15,10 @@ from scipy.stats import beta, chi2
 
 from experiments.drawing.style import Axes, Figure, legend_below, method_looks, panels
 from experiments.lab.grid import named_config
-from experiments.lab.markdown import listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, made_of, quoted
+from experiments.lab.summary import answered, listed, made_of, markdown_table, quoted
 from experiments.lab.verify import scored_checks
 from experiments.paper.esim import method_order
 from ssac.arrays import Array

@@ -21,8 +21,7 @@ from experiments.lab.recorded import load_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
 from experiments.lab.summary import answered, by_group, made_of
-from experiments.paper.esim import TABLES, in_order
-from experiments.paper.quantities import ERRORS
+from experiments.paper.esim import ERRORS, TABLES, in_order
 from experiments.worlds.bound import KNOWN_POSE, SAMPLES, TrueMotion, load_truth, method_bound
 from ssac.config import Config
 from ssac.pipeline.chain import Chain

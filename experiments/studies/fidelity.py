@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, FlightCell, Measure, RunRow
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, by_group, made_of
+from experiments.lab.summary import answered, by_group, made_of, markdown_table
 from experiments.paper.esim import ANGLES_DEG, DURATIONS_S, drawn
 from sim.recording import SimConfig
 from sim.render.config import SamplingConfig

@@ -16,10 +16,9 @@ from experiments.drawing.style import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
 from experiments.lab.command import CacheOption, OutOption
-from experiments.lab.files import record_checksums
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import provenance, write_provenance
-from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.results import PROVENANCE, Results, record_checksums
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Study
 from experiments.studies import all_studies

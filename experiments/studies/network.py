@@ -25,12 +25,11 @@ from scipy.stats import chi2
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, PlainCell, RunRow, load_nothing
 from experiments.lab.command import command_of
-from experiments.lab.markdown import digits
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
-from experiments.lab.summary import answered, by_group, made_of, shown_table, statistics
+from experiments.lab.summary import answered, by_group, digits, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows, one_of
 from experiments.scenes.simulate import ManyCameras
 from experiments.studies.outdoor import PlacedRow, placed_errors

@@ -21,14 +21,21 @@ import pandas as pd
 
 from experiments.drawing.style import Figure, legend_below, method_looks, panels
 from experiments.lab.command import command_of
-from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
-from experiments.lab.summary import answered, by_group, held, made_of, shown_table, statistics
+from experiments.lab.summary import (
+    answered,
+    by_group,
+    digits,
+    held,
+    made_of,
+    markdown_table,
+    shown_table,
+    statistics,
+)
 from experiments.lab.verify import between, ordered, scored_checks
 from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
-from experiments.paper.esim import esim_table
-from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
+from experiments.paper.esim import ERRORS, R_ERROR, T_D_ERROR, esim_table
 from experiments.worlds import bench
 from experiments.worlds.bench import ALL, ANGLES_DEG, IMPERFECTIONS, KINDS, NONE, all_but, only
 from ssac.pipeline.registry import OURS
@@ -54,7 +61,7 @@ def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.
 
 def published_tables() -> dict[float, pd.DataFrame]:
     """Read the paper's physical tables, by duration [s]."""
-    return load_published(PUBLISHED, "mini", DURATIONS_S, _ERRORS)
+    return load_published(PUBLISHED, "mini", DURATIONS_S)
 
 
 def figure(runs: pd.DataFrame) -> Figure:

@@ -18,13 +18,11 @@ import typer
 
 from experiments.drawing.style import Axes, Figure, panels
 from experiments.lab.command import OutOption, check_is_folder
-from experiments.lab.files import csv_text, png_bytes, record_checksums, save_text
-from experiments.lab.markdown import markdown_table
 from experiments.lab.provenance import provenance, write_provenance
-from experiments.lab.results import Results
+from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, How, Made, Runs, Study
-from experiments.lab.summary import shown_table
+from experiments.lab.summary import markdown_table, shown_table
 from experiments.lab.verify import one_of, ordered
 from experiments.worlds import tracks
 from experiments.worlds.tracks import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES

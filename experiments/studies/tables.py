@@ -12,19 +12,25 @@ from scipy.stats import gmean
 from experiments.drawing.style import Figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
-from experiments.lab.files import read_table
 from experiments.lab.grid import Cell
-from experiments.lab.markdown import digits, listed, markdown_table
-from experiments.lab.results import Results
+from experiments.lab.results import Results, read_table
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, Made, Runs, Study
-from experiments.lab.summary import answered, records
+from experiments.lab.summary import answered, digits, listed, markdown_table, records
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
-from experiments.paper.esim import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
+from experiments.paper.esim import (
+    DURATIONS_S,
+    ERRORS,
+    POSE_ERRORS,
+    T_D_ERROR,
+    TABLES,
+    offset_ms,
+    table_cells,
+    table_grids,
+)
 from experiments.paper.page import results_page
-from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")

@@ -18,8 +18,7 @@ from experiments.lab.recorded import recorded_pair
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of
-from experiments.paper.esim import ANGLES_DEG, drawn
-from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
+from experiments.paper.esim import ANGLES_DEG, ERRORS, R_ERROR, T_D_ERROR, drawn
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose

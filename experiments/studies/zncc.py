@@ -18,11 +18,10 @@ import pandas as pd
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, made_of
+from experiments.lab.summary import answered, made_of, markdown_table
 from experiments.paper.esim import ANGLES_DEG, drawn
 from experiments.scenes.scene import pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from experiments.lab.files import csv_text
 from experiments.lab.grid import config_names, flight_seed
 from experiments.lab.recorded import Pair
+from experiments.lab.results import csv_text
 from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_tables, ordered_runs
 from ssac.camera import Rig

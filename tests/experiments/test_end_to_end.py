@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.lab.bridge import observations, rig_of
+from experiments.lab.recorded import observations, rig_of
 from experiments.lab.score import score
 from sim.recording import SimConfig, simulate
 from sim.render.config import SamplingConfig

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, load_nothing
-from experiments.lab.files import csv_text, record_checksums, save_text
 from experiments.lab.provenance import provenance
-from experiments.lab.results import Results
+from experiments.lab.results import Results, csv_text, record_checksums, save_text
 from experiments.lab.study import Made, Runs, Study, save_made
 from experiments.lab.verify import between
 

@@ -8,31 +8,25 @@ import typer
 from typer.testing import CliRunner
 
 from experiments import commands
-from experiments.lab import again as module
 from experiments.lab import task
 from experiments.lab.again import (
     ROUNDING,
     Drawn,
-    compared,
     draw,
     measured_by,
     recomputed,
     row_faults,
-    rows_again,
     sources_of,
 )
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import Runs
-from experiments.lab.task import Task
-from experiments.lab.verify import Finding, same_driver
+from experiments.lab.verify import Finding
 from experiments.studies import all_studies
-from sim.recording import SimConfig
-from sim.render.config import RenderConfig
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
 from tests.experiments.lab.damage import change_a_status, delete, double_a_number
-from tests.experiments.lab.squares import SQUARES, squared, write_squares
+from tests.experiments.lab.squares import SQUARES, write_squares
 
 
 @pytest.fixture
@@ -45,7 +39,7 @@ def results(tmp_path) -> Path:
 
 
 def names(drawn: list[Drawn]) -> list[tuple]:
-    return [(one.study.name, one.task.recordings) for one in drawn]
+    return [(study.name, task.recordings) for study, task in drawn]
 
 
 def test_what_is_drawn() -> None:
@@ -58,9 +52,9 @@ def test_what_is_drawn() -> None:
     drawn = [name for name, _ in names(draw(sources, 40, 1))]
     assert drawn[::2] == ["tables"] * 20
     assert "tables" not in drawn[1::2]
-    (one,) = draw(sources, 1, 0)
-    assert {cell.method for cell in one.task.cells} == {method.name for method in OURS}
-    assert {cell.t_d_s for cell in one.task.cells} == {0.005, 0.05, 0.5}
+    ((_, one),) = draw(sources, 1, 0)
+    assert {cell.method for cell in one.cells} == {method.name for method in OURS}
+    assert {cell.t_d_s for cell in one.cells} == {0.005, 0.05, 0.5}
 
 
 def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
@@ -70,6 +64,7 @@ def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
     assert not slow & {study.name for study in sources_of(studies)}
     assert slow <= {study.name for study in sources_of(studies, slow=True)}
     assert [one.name for one in sources_of(studies, only="fidelity")] == ["fidelity"]
+    assert draw(sources_of(studies, only="renderers"), 9, 0) == []  # another driver draws others
     with pytest.raises(SsacError, match="--only: expected a study of squares, got cubes"):
         sources_of({"squares": SQUARES}, only="cubes")
 
@@ -104,34 +99,6 @@ def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     assert other.faults[0].startswith(fault)
 
 
-@pytest.mark.parametrize(("is_same", "n_faults"), [(False, 0), (True, 1)])
-def test_what_another_opengl_driver_drew_need_have_the_same_status_alone(
-    results: Path, monkeypatch: pytest.MonkeyPatch, is_same: bool, n_faults: int
-) -> None:
-    class DrawnTask(Task):
-        recordings = ((SimConfig(render=RenderConfig(renderer="pyrender")), 0),)
-
-    cells = SQUARES.cells()
-    monkeypatch.setattr(module, "same_driver", lambda _: is_same)
-    monkeypatch.setattr(module, "cells_of", lambda _: cells)
-    runs = pd.DataFrame([{**cell.columns, **vars(squared(cell, None))} for cell in cells])
-    rows = rows_again(SQUARES, runs, cells)
-    for damage, n in ((double_a_number, n_faults), (change_a_status, 1)):
-        damage(results / "squares_runs.csv")
-        assert len(compared(rows, SQUARES, DrawnTask(tuple(cells)), Results(results))) == n
-
-
-@pytest.mark.render
-def test_osmesa_and_egl_of_one_driver_draw_alike() -> None:
-    from sim.render.gl_context import open_context
-
-    here = open_context()
-    gl = {"backend": "another", "renderer": here.renderer, "version": here.version}
-    assert same_driver([{"gl": gl}])
-    assert not same_driver([{"gl": gl | {"version": "0"}}])
-    assert not same_driver([{"gl": None}])
-
-
 def row(**changes: str) -> pd.DataFrame:
     values = {"flight": "3", "method": "joint", "status": "ok", "reason": "",
               "t_d_estimate_ms": "50.0123", "t_d_error_ms": "0.0123", "r_error_deg": "0.0512345",
@@ -140,14 +107,13 @@ def row(**changes: str) -> pd.DataFrame:
     return pd.DataFrame([values | changes])
 
 
-KEYS = ("flight", "method")
 MEASURED = measured_by(all_studies()["tables"])
-RUNS = Runs("runs.csv", KEYS)
+RUNS = Runs("runs.csv", ("flight", "method"), numbered=False)
 WORDS = "23 sample times are valid at 0.055 s, 33 % beyond, 5 deg apart: 30 are needed"
 
 
 def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
-    return row_faults(again, committed, KEYS, MEASURED, RUNS)
+    return row_faults(again, committed, MEASURED, RUNS)
 
 
 @pytest.mark.parametrize(
@@ -162,22 +128,12 @@ def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
         ("joint", "n_samples", "350", "349", False),
         ("joint", "n_samples", "350", "350.1", False),
         ("joint", "reason", "", "no reason", False),
-        (
-            "joint",
-            "t_d_error_ms",
-            "0.0658834",
-            "0.0658835",
-            True,
-        ),  # as on a processor without AVX-512
+        # As on a processor without AVX-512.
+        ("joint", "t_d_error_ms", "0.0658834", "0.0658835", True),
         ("joint", "t_d_estimate_ms", "999999", "1e+06", True),
         ("joint", "r_z_normalised", "-1.00001", "-1", True),
-        (
-            "joint",
-            "t_d_error_ms",
-            "2.84217e-14",
-            "0",
-            True,
-        ),  # the difference of two that are nearly equal
+        # The difference of two that are nearly equal.
+        ("joint", "t_d_error_ms", "2.84217e-14", "0", True),
         ("joint", "t_d_error_ms", "3.99794e-05", "3.99771e-05", True),
         ("joint", "n_events_cam1", "1234567", "1.23457e+06", True),  # a count that a table rounds
         # One that follows a body may differ by a little more.

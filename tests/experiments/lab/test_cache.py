@@ -138,18 +138,6 @@ def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_
     assert files_in(tmp_path) == []
 
 
-def test_what_is_told_of_a_recording_is_told_once_for_all_that_it_depends_on(tmp_path):
-    cache, recording, told = Cache(tmp_path), tmp_path / "recordings" / "abc", []
-    for inputs in (None, 5, None, 5):
-        made = cache.told(
-            "brightness", recording, BRIGHTNESS_CODE, [*MEANS],
-            lambda inputs=inputs: told.append(inputs) or MEANS, inputs,
-        )  # fmt: skip
-        for name, one in MEANS.items():
-            np.testing.assert_array_equal(made[name], one, strict=True)
-    assert told == [None, 5]
-
-
 def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_whole(
     tmp_path, monkeypatch
 ):
@@ -198,20 +186,28 @@ def test_a_damaged_row_is_moved_aside_and_said_once(tmp_path, capsys):
     assert cache.load_run("abcd") == ROW
 
 
-def test_damaged_brightness_is_told_again(tmp_path):
-    def brightness():
-        recording = tmp_path / "recordings" / "abcd"
-        return Cache(tmp_path).told(
-            "brightness", recording, BRIGHTNESS_CODE, [*MEANS], lambda: MEANS
-        )
+def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew_if_damaged(
+    tmp_path,
+):
+    cache, recording, told = Cache(tmp_path), tmp_path / "recordings" / "abc", []
 
-    brightness()
+    def check(inputs):
+        made = cache.told(
+            "brightness", recording, BRIGHTNESS_CODE, [*MEANS],
+            lambda: told.append(inputs) or MEANS, inputs,
+        )  # fmt: skip
+        for name, one in MEANS.items():
+            np.testing.assert_array_equal(made[name], one, strict=True)
+
+    check(None)
     (path,) = (tmp_path / "brightness").iterdir()
     whole = path.read_bytes()
+    for inputs in (None, 5, None, 5):
+        check(inputs)
+    assert told == [None, 5]
     for damaged in (whole[: len(whole) // 2], flipped(whole, 200), b""):
         path.write_bytes(damaged)
-        for name, kept in brightness().items():
-            np.testing.assert_array_equal(kept, MEANS[name])
+        check(None)
         assert path.read_bytes() == whole
 
 

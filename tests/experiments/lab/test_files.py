@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.lab import provenance
-from experiments.lab.files import SUMS_FILE, read_checksums, record_checksums, sha256
+from experiments.lab.results import SUMS_FILE, read_checksums, record_checksums, sha256
 from ssac.errors import SsacError
 
 

@@ -1,6 +1,6 @@
 """Workers: those that die are replaced, and nothing that a job does takes another with it.
 
-That they end with a process that is killed is tested in `tests/experiments/sweep`.
+That they end with a process that is killed is tested in `test_sweep.py`.
 """
 
 import os

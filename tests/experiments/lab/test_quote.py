@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from experiments import commands
-from experiments.commands import numbers_command
-from experiments.lab.markdown import digits, listed, markdown_table
+from experiments.commands import numbers_command, page_findings
 from experiments.lab.quote import rewrite_numbers, stale_numbers
 from experiments.lab.results import Results
+from experiments.lab.summary import digits, listed, markdown_table
 from experiments.studies import all_studies
 from ssac.errors import SsacError
 
@@ -66,6 +66,11 @@ def test_numbers_are_written_once_and_then_stay_until_a_result_changes(root, mon
     monkeypatch.setattr(commands, "all_numbers", lambda: NUMBERS)
     with pytest.raises(SsacError, match="2 stale numbers"):
         numbers_command(root, check=True)
+    (finding,) = page_findings(root / "results")
+    assert list(finding.faults) == stale
+    assert not page_findings(root)  # results of another place: no page quotes them
+    (typed,) = stale_numbers(root, {"cubes": str} | NUMBERS)[2:]
+    assert typed == "cubes is declared and no page quotes it: was it typed by hand?"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Cells to rows to files: resumed, in shards, with crashes, with others on it, with deaths.
 
-Real processes that share a cache or die are in `tests/experiments/sweep`.
+Real processes that share a cache or die are in `test_sweep.py`.
 """
 
 import json
@@ -21,8 +21,8 @@ from experiments.lab import schedule, task
 from experiments.lab import study as module
 from experiments.lab.cache import Cache, claimed
 from experiments.lab.cell import CRASHED, Measure
-from experiments.lab.files import SUMS_FILE, csv_text, read_table
 from experiments.lab.pool import DiedError, Pool, Processes
+from experiments.lab.results import SUMS_FILE, csv_text, read_table
 from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
 from experiments.lab.study import Runs, check_runs, numbered, run_study
 from experiments.lab.task import Task, recordings_key

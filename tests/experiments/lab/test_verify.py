@@ -7,18 +7,13 @@ from shutil import copytree
 
 import pytest
 
-from experiments import commands
-from experiments.commands import page_findings
-from experiments.lab.files import SUMS_FILE, record_checksums
-from experiments.lab.results import Results
-from experiments.lab.study import Runs
+from experiments.lab.results import SUMS_FILE, Results, record_checksums
 from experiments.lab.verify import (
     Finding,
     between,
     file_findings,
     one_of,
     ordered,
-    shared_findings,
     study_findings,
     text_difference,
 )
@@ -153,17 +148,6 @@ def test_a_number_made_on_another_processor_may_differ_by_its_last_digit(results
     assert what in faulty(all_of(results))
 
 
-def test_runs_that_two_studies_share_are_the_same(results, tmp_path):
-    other = tmp_path / "results" / "others_runs.csv"
-    text = (results / "squares_runs.csv").read_text()
-    other.write_text(text)
-    twin = replace(SQUARES, name="others", runs=Runs("others_runs.csv", ("number",)))
-    assert not faulty(shared_findings([SQUARES, twin], Results(results)))
-    double_a_number(other)
-    (found,) = [one for one in shared_findings([SQUARES, twin], Results(results)) if one.faults]
-    assert found.faults == ("row 5: square is 98, there 49 (squares_runs.csv, row 5)",)
-
-
 def test_checks_name_the_row(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,z\n1,2,b\n3,,c\n5,4,d\n")
     results = Results(tmp_path)
@@ -235,25 +219,3 @@ def _is_stale(study, results, quoted) -> bool:
         return any(number(results) != quoted[name] for name, number in study.numbers.items())
     except SsacError:
         return True
-
-
-# --- Pages ---
-
-
-def test_a_number_typed_by_hand_or_deleted_from_a_page_is_found(tmp_path, monkeypatch):
-    write_squares(tmp_path / "results")
-    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": SQUARES})
-    page = tmp_path / "README.md"
-    for text, fault in (
-        ("The sum is <!--n:squares.sum-->29<!--/n-->.", None),
-        ("The sum is <!--n:squares.sum-->28<!--/n-->.", "squares.sum is '29', not '28'"),
-        ("The sum is 29.", "squares.sum is declared and no page quotes it"),
-        ("It is <!--n:squares.sum-->29<!--/n-->, <!--n:cubes-->3<!--/n-->.", "no such number"),
-    ):
-        page.write_text(text)
-        (finding,) = page_findings(tmp_path / "results")
-        if fault is None:
-            assert finding.faults == ()
-        else:
-            assert fault in finding.faults[0]
-    assert not page_findings(tmp_path)  # results of another place: no page quotes them

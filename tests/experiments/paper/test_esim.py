@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.files import csv_text, read_table
+from experiments.lab.results import csv_text, read_table
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import (
     esim_table,

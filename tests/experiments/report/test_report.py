@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.lab.files import csv_text
-from experiments.lab.results import Results
+from experiments.lab.results import Results, csv_text
 from experiments.report.report import (
     SEED,
     T_D_S,

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from experiments.cli import app
 from experiments.lab import study as lab
 from experiments.lab.schedule import Outcome
-from experiments.paper.quantities import ERRORS
+from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ABLATIONS, ablation_table, points_figure, points_table
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab.files import csv_text, read_checksums
 from experiments.lab.grid import named_config
+from experiments.lab.results import csv_text, read_checksums
 from experiments.studies.figures import (
     FLIGHT,
     NOISY_FLIGHT,

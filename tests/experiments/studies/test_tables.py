@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from experiments.cli import app
 from experiments.lab import study as lab
 from experiments.lab.cell import CRASHED
-from experiments.lab.files import SUMS_FILE, csv_text, read_table
-from experiments.lab.results import Results
+from experiments.lab.results import SUMS_FILE, Results, csv_text, read_table
 from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ordered_runs
 from experiments.studies import tables

@@ -1,4 +1,7 @@
-"""Workers, hosts, schedulers and whole sweeps that die or are stopped."""
+"""Real sweeps over a tiny grid: rows, shards, what cannot be done, and whoever dies or is stopped.
+
+The flights are short and coarsely rendered: what is tested is the bookkeeping, not the accuracy.
+"""
 
 import json
 import os
@@ -9,17 +12,202 @@ import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
+from experiments.cli import app
 from experiments.lab import pool as pools
 from experiments.lab.cell import CRASHED
 from ssac.cli.exits import BUG, INTERRUPTED
-from ssac.errors import SsacError
-from tests.experiments.sweep.tiny import ROOT, TOML, started, sweep, swept, without_runs
+from ssac.errors import SsacError, WriteError
 
 pytestmark = pytest.mark.render
+
+ROOT = Path(__file__).resolve().parents[3]
+
+TOML = """
+flights = 3
+first_flight = 1
+methods = [{methods}]
+search_around_truth_s = [-0.2, 0.2]
+
+[fixed]
+sim.spline.duration_s = 3.0
+sim.frames.rate_hz = 0.0
+sim.render.lattice.a = 4
+sim.sampling.max_step_px = 0.5
+ssac.trials = 200
+
+[grid]
+sim.angle_deg = [90]
+sim.t_d_s = [0.005, 0.05]
+"""
+
+# A plugin whose methods fail in the ways there are; docs/methods.md tells about plugins.
+PLUGIN = """
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+from ssac import SsacError
+from ssac import event_rate
+
+def raising(cam1, cam2, rig, config=None):
+    raise RuntimeError("a bug")
+
+def refusing(cam1, cam2, rig, config=None):
+    raise SsacError("not with these data")
+
+def dying_once(cam1, cam2, rig, config=None):
+    try:
+        Path(__file__).with_name("died").touch(exist_ok=False)
+    except FileExistsError:
+        return replace(event_rate(cam1, cam2, rig, config), method="dying_once")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def sweep(config, out, cache, *more):
+    arguments = ["sweep", str(config), "--out", str(out), "--cache", str(cache), *more]
+    return CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+def without_runs(folder: Path, name: str, of: Path | None = None) -> Path:
+    """Return a cache with the recordings of another, by default `folder` / cache, but no runs."""
+    cache = folder / name
+    cache.mkdir()
+    (cache / "recordings").symlink_to((of or folder / "cache") / "recordings")
+    return cache
+
+
+def started(folder, plugin, config, out, cache, *more):
+    """A sweep as a process of its own, which knows the plugin's methods."""
+    command = [sys.executable, "-m", "experiments", "sweep", str(config)]
+    command += ["--out", str(out), "--cache", str(cache), *more]
+    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
+    return subprocess.Popen(
+        command, env=environment, cwd=folder, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+
+
+def swept(*arguments):
+    """Run such a process; its exit code and what it said."""
+    process = started(*arguments)
+    said = process.communicate()[1]
+    return process.returncode, said
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("sweep")
+
+
+@pytest.fixture(scope="module")
+def config(folder):
+    path = folder / "tiny.toml"
+    path.write_text(TOML.format(methods='"ssac", "event_rate", "zncc_f"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(folder, config):
+    """The sweep in one piece, by one process."""
+    out = folder / "whole.csv"
+    result = sweep(config, out, folder / "cache", "--workers", "1")
+    assert result.exit_code == 0, result.output
+    return out
+
+
+@pytest.fixture(scope="module")
+def plugin(folder):
+    """A folder in which Python finds the plugin."""
+    plugin = folder / "plugin"
+    info = plugin / "failing-1.0.dist-info"
+    info.mkdir(parents=True)
+    (plugin / "failing.py").write_text(PLUGIN)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
+    names = ("raising", "refusing", "dying_once")
+    entries = "".join(f"{name} = failing:{name}\n" for name in names)
+    (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entries}")
+    return plugin
+
+
+def test_every_run_is_a_row_and_every_parameter_a_column(whole):
+    runs = pd.read_csv(whole)
+    assert list(runs["cell"]) == list(range(3 * 2 * 3))
+    assert (runs["sim.spline.duration_s"] == 3.0).all()
+    assert (runs["ssac.trials"] == 200).all()
+    assert runs.groupby(["sim.t_d_s", "flight", "method"]).size().eq(1).all()
+    rates = runs[runs["method"] == "event_rate"]
+    assert (rates["status"] == "ok").all()
+    expected_ms = (1e3 * rates["sim.t_d_s"] - rates["t_d_estimate_ms"]).abs()
+    assert rates["t_d_error_ms"].to_numpy() == pytest.approx(expected_ms.to_numpy(), abs=1e-3)
+    skipped = runs[runs["method"] == "zncc_f"]
+    assert (skipped["status"] == "skipped").all()
+    assert skipped["reason"].str.contains("there are none").all()
+    content = json.loads(whole.with_suffix(".provenance.json").read_text())
+    assert content["config"]["grid"]["flights"] == 3
+    assert content["gl"]["backend"] in ("osmesa", "egl")
+    assert {"commit", "versions", "wall_time_s", "command"} <= set(content)
+
+
+def test_merged_shards_are_the_same_bytes(folder, config, whole):
+    parts = []
+    for index in (1, 2):
+        parts.append(folder / f"part{index}.csv")
+        shard = ("--shard", f"{index}/2", "--workers", "1")
+        assert sweep(config, parts[-1], folder / "cache", *shard).exit_code == 0
+    out = folder / "merged.csv"
+    arguments = ["merge", str(out), *map(str, reversed(parts))]
+    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+    assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system of 64 KiB in memory."""
+    at = tmp_path / "disk"
+    at.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(at)]
+    try:
+        subprocess.run(mount, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("only root may mount a file system")
+    yield at
+    subprocess.run(["umount", str(at)], check=True)
+
+
+def test_a_sweep_on_a_full_disk_is_one_error_and_goes_on_where_there_is_room(
+    folder, config, whole, disk
+):
+    out, cache = disk / "full.csv", without_runs(disk, "cache", folder / "cache")
+    (disk / "filled").write_bytes(bytes(60 * 1024))
+    with pytest.raises(WriteError, match=str(disk)):
+        sweep(config, out, cache, "--workers", "1")
+    (disk / "filled").unlink()
+    subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)
+    assert sweep(config, out, cache, "--workers", "1").exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+    assert not list(disk.rglob(".*"))
+
+
+def test_a_damaged_mesh_in_a_grid_is_an_error_before_any_work(config, tmp_path):
+    mesh, grid = tmp_path / "drone.obj", tmp_path / "grid.toml"
+    mesh.write_text("v 0 0\nf 1 2 3\n", encoding="utf-8")
+    fixed = f"[fixed]\nsim.drone_file = {str(mesh)!r}\n"
+    grid.write_text(config.read_text().replace("[fixed]\n", fixed), encoding="utf-8")
+    with pytest.raises(SsacError, match=mesh.name):
+        sweep(grid, tmp_path / "out.csv", tmp_path / "cache", "--workers", "1")
+    assert {path.name for path in tmp_path.iterdir()} == {mesh.name, grid.name}
+
+
+# --- Workers, hosts and whole sweeps that die or are stopped ---
 
 
 @pytest.fixture(scope="module")
