@@ -26,7 +26,7 @@ from experiments.lab.recorded import check_mesh
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import How, Study, merge
-from experiments.lab.verify import Finding, file_findings, found, study_findings
+from experiments.lab.verify import Finding, file_findings, found, shared_findings, study_findings
 from experiments.paper.comparison import PUBLISHED_SHA256
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
@@ -193,6 +193,7 @@ def verify_command(
     committed = [study for study in studies.values() if study.is_committed]
     failed = _report(file_findings(results, committed, PUBLISHED_SHA256))
     failed += sum(_report(study_findings(study, kept)) for study in committed)
+    failed += _report(shared_findings(committed, kept))
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed

@@ -98,6 +98,16 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
         yield found(f"{study.name}: {what}", partial(check, results))
 
 
+def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Finding]:
+    """Check that runs that several studies measure alike are the same in the files of all."""
+    seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
+    for study in studies:
+        if study.runs is None or study.runs.table is not None or study.how is not How.SHARED:
+            continue
+        what = f"{study.runs.file} has the rows of other files where the runs are the same"
+        yield found(what, partial(_unlike_others, study, results, seen))
+
+
 def provenance_faults(
     results: Results, name: str, command: str, config: Mapping[str, Any]
 ) -> Iterator[str]:
@@ -288,6 +298,29 @@ def _with_last_digits_of(text: str, again: str, digits: int) -> str:
         is_near = [near(*pair, digits) for pair in zip(a, b, strict=True)]
         mine[name] = mine[name].where(~np.array(is_near, dtype=bool), theirs[name])
     return csv_text(mine)
+
+
+def _unlike_others(
+    study: Study, results: Results, seen: dict[Any, tuple[str, Mapping[str, str]]]
+) -> Iterator[str]:
+    assert study.runs is not None
+    cells, file = cells_of(study), study.runs.file
+    table = table_of_texts(results.text(file))
+    if len(table) != len(cells):
+        cells = [cell for cell in cells if getattr(cell, "method", "") in set(table["method"])]
+    own = {"cell", *study.runs.took, *(cells[0].columns if cells else ())}
+    measured = table[[name for name in table if name not in own]]
+    rows: list[dict[str, str]] = measured.to_dict("records")  # type: ignore[assignment]
+    for number, (cell, row) in enumerate(zip(cells, rows, strict=True)):
+        try:
+            key = (study.measure.row, cell.recordings, cell.inputs)
+            where, other = seen.setdefault(key, (f"{file}, row {number}", row))
+        except TypeError:  # inputs that have no hash
+            return
+        for name in row:
+            if name in other and other[name] != row[name]:
+                yield f"row {number}: {name} is {row[name]}, there {other[name]} ({where})"
+                break
 
 
 def _short(line: str) -> str:

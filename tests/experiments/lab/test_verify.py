@@ -8,12 +8,14 @@ from shutil import copytree
 import pytest
 
 from experiments.lab.results import SUMS_FILE, Results, record_checksums
+from experiments.lab.study import Runs
 from experiments.lab.verify import (
     Finding,
     between,
     file_findings,
     one_of,
     ordered,
+    shared_findings,
     study_findings,
     text_difference,
 )
@@ -146,6 +148,17 @@ def test_a_number_made_on_another_processor_may_differ_by_its_last_digit(results
     assert what not in faulty(all_of(results))
     path.write_text(path.read_text().replace("110.001", "110.002"))
     assert what in faulty(all_of(results))
+
+
+def test_runs_that_two_studies_share_are_the_same(results, tmp_path):
+    other = tmp_path / "results" / "others_runs.csv"
+    text = (results / "squares_runs.csv").read_text()
+    other.write_text(text)
+    twin = replace(SQUARES, name="others", runs=Runs("others_runs.csv", ("number",)))
+    assert not faulty(shared_findings([SQUARES, twin], Results(results)))
+    double_a_number(other)
+    (found,) = [one for one in shared_findings([SQUARES, twin], Results(results)) if one.faults]
+    assert found.faults == ("row 5: square is 98, there 49 (squares_runs.csv, row 5)",)
 
 
 def test_checks_name_the_row(tmp_path):
