@@ -36,22 +36,11 @@ def deviations_of(*seen, **options):
     return np.sqrt(np.diag(covariance_of(*seen, **options)))
 
 
-def normalised(times_s, jacobian, noise):
-    """Errors of a fit over their stated deviations."""
-    left, found = left_of(jacobian, noise)
-    return found / deviations_of(times_s, jacobian, left)
-
-
 def correlation(times_s, series, time_s):
     """Correlations (n, n) of residuals that fade in `time_s` and only within a series."""
     lags_s = np.abs(times_s[:, None] - times_s)
     fading = np.exp(-lags_s / time_s) if time_s else (lags_s == 0.0).astype(float)
     return fading * (series[:, None] == series)
-
-
-def root_of(time_s):
-    """Root of the correlations of one series' noise that fades in a time."""
-    return np.linalg.cholesky(correlation(INSTANTS_S, np.zeros(500), time_s))
 
 
 def gapped_series(rng):
@@ -131,12 +120,14 @@ def test_caution_counts_fading_times(duration_s, fewest):
 
 @pytest.mark.parametrize("sign", [1.0, 0.0, -0.3])
 def test_one_parameter_may_have_series_with_common_noise(sign):
-    rng, root, errors = np.random.default_rng(8), root_of(0.1), []
+    rng, errors = np.random.default_rng(8), []
+    root = np.linalg.cholesky(correlation(INSTANTS_S, np.zeros(500), 0.1))
     for _ in range(400):
         first, second = (root @ rng.normal(size=500) for _ in range(2))
         jacobian = np.tile(waves(INSTANTS_S, 1, rng), (2, 1))
         noise = np.concatenate([first, sign * first + (1.0 - abs(sign)) * second])
-        errors.append(normalised(TWICE_S, jacobian, noise)[0])
+        left, found = left_of(jacobian, noise)
+        errors.append(found[0] / deviations_of(TWICE_S, jacobian, left)[0])
     # 400 runs know the root mean square to 3.5 %. It is to be a little below 1, by Student's factor
     # and by slow components that happen to be found.
     assert 0.85 < np.sqrt(np.mean(np.square(errors))) < 1.07
