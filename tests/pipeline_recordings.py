@@ -15,10 +15,9 @@ from ssac.files.track_files import save_track
 from ssac.points import PointTrack
 from tests.answers import Recorded
 from tests.recorded import add_frames
-from tests.ssac.cluttered import merged, noise
-from tests.ssac.crowds import mixed
-from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, make_events, make_scene
-from tests.ssac.tracks import FPS, frame_track, rig_document
+from tests.ssac.cluttered import merged, mixed, noise
+from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, clocked, make_events, make_scene
+from tests.ssac.tracks import frame_track, frame_tracks, rig_document
 
 DURATION_S, T_D_S, SIZE_M = 5.0, 0.05, 0.4
 RATE_HZ = 8_000.0  # of events: the fewest that leave most kinds an answer
@@ -73,28 +72,11 @@ def _events(scene: Scene = SCENE, t_d_s: float = T_D_S, size_m: float = SIZE_M) 
     return list(make_events(scene, 0, t_d_s, RATE_HZ, size_m))
 
 
-def _moved(events: Any, clock: Callable[[Array], Array]) -> Any:
-    """Events of a clock that shows clock(t) [us] in place of t."""
-    moved = events.copy()
-    moved["t"] = np.rint(clock(events["t"].astype(np.float64)))
-    return moved
-
-
 def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
     """Give the scene with a path of one's own [m] about the place that both cameras look at."""
     times_s = np.linspace(-1.0, scene.duration_s + 1.0, 200)
     x, y, z = np.broadcast_arrays(*path(times_s))
     return replace(scene, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))
-
-
-def _tracks(
-    scene: Scene = SCENE, t_d_s: float = T_D_S, rate: float = 1.0, readout_s: float = 0.0
-) -> list[PointTrack]:
-    """Two frame cameras' tracks of one flight."""
-    return [
-        frame_track(scene, 1, FPS[0], 0.0, 1.0, readout_s, 1),
-        frame_track(scene, 2, FPS[1], t_d_s, rate, 0.0, 2),
-    ]
 
 
 def _crowd(*seeds: int, duration_s: float = DURATION_S) -> tuple[Any, ...]:
@@ -112,7 +94,7 @@ REST = _along(lambda t: [0.3 + 0.0 * t, 0.2, 0.1])
 
 def _clocked(one: Any, other: Any, clock: Callable[[Array], Array]) -> Seen:
     """Camera 2's clock shows clock(t) [us] in place of t."""
-    return Seen((one, _moved(other, clock)))
+    return Seen((one, clocked(other, clock)))
 
 
 def _jump(t_us: Array) -> Array:
@@ -130,7 +112,7 @@ def _cut(tracks: list[PointTrack]) -> tuple[PointTrack, ...]:
 
 
 def _wandering() -> Seen:
-    one, other = _tracks(LONG, 0.3)
+    one, other = frame_tracks(LONG, 0.3)
     wandered_s = other.times_s + 0.012 * np.sin(2.0 * np.pi * other.times_s / LONG.duration_s)
     return Seen((one, replace(other, times_s=wandered_s)), (LONG,))
 
@@ -172,7 +154,7 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "skewed_clock": lambda: _clocked(*_events(), lambda t: (1.0 + 60e-6) * t),
     "clock_jump": lambda: _clocked(*_events(), _jump),
     "rounded_events": lambda: Seen(
-        tuple(_moved(one, lambda t: t // 1000 * 1000) for one in _events())
+        tuple(clocked(one, lambda t: t // 1000 * 1000) for one in _events())
     ),
     "far_apart": lambda: Seen(tuple(_events(t_d_s=FAR_S)), t_d_s=FAR_S),
     "interval_without_common_time": lambda: Seen(
@@ -189,16 +171,20 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "two_drones": lambda: Seen(_crowd(4, 5), (make_scene(4),)),
     "people": lambda: Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),)),
     # Tracks
-    "tracks": lambda: _of_long(_tracks(LONG)),
-    "tracks_far_apart": lambda: _of_long(_tracks(LONG, 7.3)),
-    "tracks_in_an_interval": lambda: _of_long(_tracks(LONG), config={"interval_s": (-0.5, 0.6)}),
-    "rounded_tracks": lambda: _of_long(_cut(_tracks(LONG))),
+    "tracks": lambda: _of_long(frame_tracks(LONG, T_D_S)),
+    "tracks_far_apart": lambda: _of_long(frame_tracks(LONG, 7.3)),
+    "tracks_in_an_interval": lambda: _of_long(
+        frame_tracks(LONG, T_D_S), config={"interval_s": (-0.5, 0.6)}
+    ),
+    "rounded_tracks": lambda: _of_long(_cut(frame_tracks(LONG, T_D_S))),
     "wandering_clock": _wandering,
-    "tracks_of_3_s": lambda: Seen(tuple(_tracks(SHORT)), (SHORT,)),
-    "tracks_at_rest": lambda: Seen(tuple(_tracks(REST))),
-    "frame_rate": lambda: _of_long(_tracks(LONG, 3.0, 0.71), config={"rates": (0.705, 0.715)}),
-    "readout": lambda: _of_long(_tracks(LONG, readout_s=0.03), estimate_readout=True),
-    "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], _tracks()[1])),
+    "tracks_of_3_s": lambda: Seen(tuple(frame_tracks(SHORT, T_D_S)), (SHORT,)),
+    "tracks_at_rest": lambda: Seen(tuple(frame_tracks(REST, T_D_S))),
+    "frame_rate": lambda: _of_long(frame_tracks(LONG, 3.0, 0.71), config={"rates": (0.705, 0.715)}),
+    "readout": lambda: _of_long(
+        frame_tracks(LONG, T_D_S, readouts_s=(0.03, 0.0)), estimate_readout=True
+    ),
+    "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], frame_tracks(SCENE, T_D_S)[1])),
     # Three cameras
     "three_cameras": lambda: Seen(tuple(_three(4)), _round(4)),
     "three_cameras_two_drones": _three_with_another,

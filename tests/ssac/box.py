@@ -5,9 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.events import EVENT_DTYPE
 from ssac.track.observation import Observation
-from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, project, rotation_angle_deg
+from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, events_at, project, rotation_angle_deg
 
 CLEAN = Config(denoise=False)
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -42,13 +41,9 @@ def box_events(scene, seed, size_m=0.8, t_d_s=T_D_S, lopsided=0.0, scale=1, rate
         odds = 1.0 + lopsided * (CORNERS[:, view] > 0)
         chosen = rng.choice(8, n, p=odds / odds.sum())
         points = in_view(corners_m(scene, times_s, size_m)[np.arange(n), chosen], scene, view)
-        pixels = np.rint(scale * project(points))
-        seen = np.all((pixels >= 0) & (pixels < [scale * WIDTH, scale * HEIGHT]), axis=1)
-        seen &= points[:, 2] > 0.1
-        events = np.zeros(int(seen.sum()), EVENT_DTYPE)
-        events["t"] = np.rint((times_s[seen] + offset_s) * 1e6)
-        events["x"], events["y"] = pixels[seen].T
-        streams.append(events)
+        in_front = points[:, 2] > 0.1
+        points_px, size = scale * project(points[in_front]), (scale * WIDTH, scale * HEIGHT)
+        streams.append(events_at(times_s[in_front] + offset_s, points_px, size))
     return streams
 
 

@@ -1,11 +1,11 @@
-"""Events of what is no part of anything that moves, to be added to those of a camera."""
+"""Events of other things than the object, to be added to those of a camera."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.events import events_from_arrays
 from ssac.track.observation import Observation
-from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events
+from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, events_at, make_events, make_scene
 
 
 def merged(*parts: NDArray[np.void]) -> NDArray[np.void]:
@@ -51,14 +51,46 @@ def noise(width: int, height: int, hz: float, duration_us: int, seed: int = 0) -
 
 
 def noisy_flight(scene: Scene, t_d_s: float) -> list[Observation]:
-    """Observe a flight with two cameras that make noise, and frames that flicker alike."""
+    """Observe a flight whose light flickers, by events and frames, with cameras that make noise."""
     rng = np.random.default_rng(0)
     images = np.cumsum(rng.integers(0, 40, (300, 4, 5)), axis=0).astype(np.uint8)
+    shares = rng.uniform(0.2, 1.0, round(scene.duration_s / 0.05) + 1)
     cameras = []
     for k, events in enumerate(make_events(scene, 1, t_d_s, size_m=0.4)):
+        bins = ((1e-6 * events["t"] - k * t_d_s) / 0.05).astype(int)
+        events = events[rng.random(len(events)) < shares[bins]]
         first_us, last_us = events["t"][[0, -1]]
         extra = noise(WIDTH, HEIGHT, 0.01, int(last_us - first_us), seed=k)
         extra["t"] += first_us
         times_s = 0.02 * np.arange(300) + k * t_d_s
         cameras.append(Observation(merged(events, extra), images, times_s))
     return cameras
+
+
+T_D_S, DURATION_S, SIZE_M = 0.05, 8.0, 0.4
+
+
+def flight(seed, share=1.0, angle_deg=90.0):
+    """Events of both cameras of one flight, a share of the ordinary number."""
+    scene = make_scene(seed, angle_deg, DURATION_S)
+    return make_events(scene, seed, T_D_S, 25_000.0 * share, SIZE_M)
+
+
+def mixed(*streams):
+    """One camera's events of several things, and which thing each is of."""
+    events = np.concatenate(streams)
+    thing = np.repeat(np.arange(len(streams)), [len(stream) for stream in streams])
+    order = np.argsort(events["t"], kind="stable")
+    return events[order], thing[order]
+
+
+def branches(seed, n_branches=4, rate_hz=20_000.0):
+    """Events of things that sway a few pixels about their places."""
+    rng = np.random.default_rng((seed, 2))
+    n = int(rate_hz * DURATION_S)
+    times_s, branch = np.sort(rng.uniform(0.0, DURATION_S, n)), rng.integers(n_branches, size=n)
+    places = rng.uniform([40, 40], [WIDTH - 40, HEIGHT - 40], (n_branches, 2))
+    sways = rng.uniform(2.0, 6.0, (n_branches, 2))
+    phases = 2.0 * np.pi * (0.8 * times_s + branch / n_branches)
+    points = places[branch] + sways[branch] * np.sin(phases)[:, None] + rng.normal(0, 5, (n, 2))
+    return events_at(times_s, points)

@@ -4,6 +4,7 @@ A cloud of points flies along a random spline in front of two cameras. Each poin
 events at random instants at the pixel onto which it projects.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,15 +93,32 @@ def make_events(
         n = rng.poisson(rate_hz * scene.duration_s)
         times_s = np.sort(rng.uniform(0.0, scene.duration_s, n))
         points = (scene.path(times_s) + cloud[rng.integers(len(cloud), size=n)]) @ R.T + t
-        pixels = np.rint(distort_points(camera, project(points, camera.K)))
-        inside = (pixels >= 0) & (pixels < [camera.width, camera.height])
-        seen = (points[:, 2] > 0.1) & np.all(inside, axis=1)
-        events = np.zeros(int(seen.sum()), EVENT_DTYPE)
-        events["t"] = np.rint((times_s[seen] + offset_s) * 1e6)
-        events["x"], events["y"] = pixels[seen].T
+        in_front = points[:, 2] > 0.1
+        points_px = distort_points(camera, project(points[in_front], camera.K))
+        size = camera.width, camera.height
+        events = events_at(times_s[in_front] + offset_s, points_px, size)
         events["p"] = rng.integers(2, size=len(events))
         streams.append(events)
     return streams[0], streams[1]
+
+
+def events_at(
+    times_s: Array, points_px: Array, size: tuple[int, int] = (WIDTH, HEIGHT)
+) -> NDArray[np.void]:
+    """OFF events at the pixels of points (n, 2), as far as these are in view."""
+    pixels = np.rint(points_px)
+    seen = np.all((pixels >= 0) & (pixels < size), axis=1)
+    events = np.zeros(int(seen.sum()), EVENT_DTYPE)
+    events["t"] = np.rint(times_s[seen] * 1e6)
+    events["x"], events["y"] = pixels[seen].T
+    return events
+
+
+def clocked(events: NDArray[np.void], clock: Callable[[Array], Array]) -> NDArray[np.void]:
+    """Events of a clock that shows clock(t) [us] in place of t."""
+    moved = events.copy()
+    moved["t"] = np.rint(clock(events["t"].astype(np.float64)))
+    return moved
 
 
 def denoised(events: NDArray[np.void], camera: Camera = CAMERA) -> Clean:

@@ -1,6 +1,5 @@
 """Two frame cameras' tracks of one flight, of our own making, and their files."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,26 +7,10 @@ import yaml
 
 from ssac.files.track_files import save_track
 from ssac.points import PointTrack
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, project
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, project
 
 NOISE_PX = 0.3  # of labels
 FPS = (30.0, 25.0)
-
-
-@dataclass(frozen=True)
-class TrackPair:
-    """Files of two cameras, and what is true of them."""
-
-    folder: Path
-    scene: Scene
-    t_d_s: float
-
-    @property
-    def args(self) -> list[str]:
-        """What stands on the command line for them."""
-        names = ("cam1.csv", "cam2.csv", "rig.yaml")
-        cam1, cam2, rig = (str(self.folder / name) for name in names)
-        return [cam1, cam2, "--rig", rig]
 
 
 def frame_track(
@@ -58,6 +41,17 @@ def frame_track(
     return PointTrack((rate * (shown_s + offset_s))[inside], points[inside])
 
 
+def frame_tracks(
+    scene: Scene, t_d_s: float, rate: float = 1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)
+) -> list[PointTrack]:
+    """Two cameras' tracks of one flight; camera 2's clock shows rate (t + t_d)."""
+    one, other = readouts_s
+    return [
+        frame_track(scene, 1, FPS[0], 0.0, 1.0, one, seeds[0]),
+        frame_track(scene, 2, FPS[1], t_d_s, rate, other, seeds[1]),
+    ]
+
+
 def rig_document(**keys) -> dict:
     """A camchain of two cameras alike; `keys` go to both."""
     camera = {
@@ -70,20 +64,12 @@ def rig_document(**keys) -> dict:
     return {"cam0": dict(camera), "cam1": dict(camera)}
 
 
-def save_pair(
-    folder: Path,
-    t_d_s: float = 7.3,
-    duration_s: float = 20.0,
-    rate: float = 1.0,
-    readout_s: float = 0.0,
-    seed: int = 1,
-) -> TrackPair:
+def save_pair(folder: Path, scene: Scene, t_d_s: float, readout_s: float = 0.0) -> Path:
     """Write two tracks and their rig."""
-    scene = make_scene(seed, duration_s=duration_s)
-    save_track(folder / "cam1.csv", frame_track(scene, 1, FPS[0], 0.0, 1.0, readout_s, 1))
-    save_track(folder / "cam2.csv", frame_track(scene, 2, FPS[1], t_d_s, rate, 0.0, 2))
+    for k, track in enumerate(frame_tracks(scene, t_d_s, readouts_s=(readout_s, 0.0)), start=1):
+        save_track(folder / f"cam{k}.csv", track)
     document = rig_document()
     if readout_s:
         document["cam0"]["readout_s"] = readout_s
     (folder / "rig.yaml").write_text(yaml.safe_dump(document))
-    return TrackPair(folder, scene, t_d_s)
+    return folder

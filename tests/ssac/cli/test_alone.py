@@ -1,78 +1,84 @@
-"""What `python -m ssac.cli` needs not: simulator, experiments, and all that is not asked for."""
+"""What a command needs not: simulator, experiments, and all that is not asked for."""
 
 import json
 import subprocess
 import sys
+from itertools import product
 
 import pytest
 
 from tests.recorded import T_D_S
 
-WITHOUT = """
+RUN = """
 import runpy
 import sys
 
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("sim", "experiments"):
-            raise ModuleNotFoundError(f"{name} is not here")
+        if {is_alone} and name.partition(".")[0] in ("sim", "experiments"):
+            raise ModuleNotFoundError(f"{{name}} is not here")
 
 sys.meta_path.insert(0, Absent())
-sys.argv[0] = "ssac.cli"
-runpy.run_module("ssac.cli", run_name="__main__", alter_sys=True)
+sys.argv[0] = "ssac"
+try:
+    runpy.run_module("{module}", run_name="__main__", alter_sys=True)
+finally:
+    print("imported:", *sys.modules)
+    from threadpoolctl import threadpool_info
+    blas = [one for one in threadpool_info() if one["user_api"] == "blas"]
+    print("threads:", *{{one["num_threads"] for one in blas}})
 """
 
 
-def python(code: str, *args: object) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-c", code, *map(str, args)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+def ran(module: str, *args: object, is_alone: bool = False):
+    """The process of a command line, all that it imported, and how many threads BLAS had."""
+    command = [sys.executable, "-c", RUN.format(module=module, is_alone=is_alone), *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    *_, modules, threads = done.stdout.splitlines()
+    return done, set(modules.split()), threads
 
 
 @pytest.mark.parametrize("method", ["tangency", "zncc_f"])
 def test_sync_needs_neither(method, recorded, tmp_path):
     out, figures = tmp_path / "out.json", tmp_path / "figures"
     args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out, "--plot", figures)
-    result = python(WITHOUT, "sync", *recorded.pair, *args)
-    assert result.returncode == 0, result.stderr
+    done, *_ = ran("ssac.cli", "sync", *recorded.pair, *args, is_alone=True)
+    assert done.returncode == 0, done.stderr
     assert abs(json.loads(out.read_text())["t_d_s"] - T_D_S) < 0.05
     assert (figures / "d_avg.png").exists()
 
 
 def test_only_its_own_commands_are_listed():
-    result = python(WITHOUT, "--help")
-    assert result.returncode == 0
-    assert "sync" in result.stdout
-    assert "simulate" not in result.stdout
+    done, *_ = ran("ssac.cli", "--help", is_alone=True)
+    assert done.returncode == 0
+    assert "sync" in done.stdout
+    assert "simulate" not in done.stdout
     # Or else neither test would say anything: what is barred is barred.
-    code = WITHOUT.replace('runpy.run_module("ssac.cli"', 'import sim.errors\nrunpy.run_module("x"')
-    assert "sim is not here" in python(code).stderr
+    assert "sim is not here" in ran("sim.errors", is_alone=True)[0].stderr
 
-
-# --- What the start of a command does not wait for ---
-
-CODE = """
-import sys
-from ssac.cli.__main__ import main
-code = main(sys.argv[1:])
-print("imported:", *sys.modules)
-from threadpoolctl import threadpool_info
-print("threads:", *{one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"})
-sys.exit(code)
-"""
 
 HEAVY = {
     *("faery", "matplotlib", "pandas", "scipy.signal", "scipy.stats", "scipy.interpolate"),
     *("ssac.network.solve", "ssac.network.ground", "ssac.pipeline.plots", "ssac.methods.albl"),
 }
+FOR_WORK = {"numba", "scipy", "cv2", "h5py", "pyrender", "trimesh"}
 
 
 @pytest.mark.parametrize("method", ["tangency", "event_rate"])
 def test_sync_imports_no_more_than_it_needs(method, recorded):
     args = ("sync", *recorded.pair, "--rig", recorded / "rig.yaml", "--method", method)
-    result = python(CODE, *args)
-    assert result.returncode == 0, result.stderr
-    *_, modules, threads = result.stdout.splitlines()
-    imported = modules.split()
+    done, imported, threads = ran("ssac.cli", *args)
+    assert done.returncode == 0, done.stderr
     assert "scipy.ndimage" in imported  # what is needed is listed
-    assert not HEAVY & set(imported)
+    assert not HEAVY & imported
     assert threads == "threads: 1"
+
+
+USES = [*product(("ssac.cli", "experiments"), ("--version", "sync --help", "sync"))]
+
+
+@pytest.mark.parametrize(("module", "args"), [*USES, ("ssac", "")])
+def test_nothing_heavy_is_imported_for_help_or_for_bad_usage_nor_by_the_package(module, args):
+    _, imported, _ = ran(module, *args.split())
+    assert ("typer" in imported) == (module != "ssac")
+    assert not (HEAVY | FOR_WORK) & imported

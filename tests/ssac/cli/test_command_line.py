@@ -1,22 +1,34 @@
-"""A table of commands: each is imported when it is called, and none for the list."""
+"""The command line: its table, options, progress, exit codes, and the one line of an error."""
 
+import os
+import signal
+import subprocess
 import sys
+from functools import partial
 from importlib.metadata import version
 
+import numba
 import pytest
 
+from ssac.cli import convert, sync
 from ssac.cli.command_line import Entry, command_line, run
-from ssac.cli.exits import BAD_INPUT, DONE
+from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, PIPE_CLOSED, guarded
+from ssac.cli.options import config_of
+from ssac.cli.progress import compilation_told, progress, say
+from ssac.config import Config
+from ssac.errors import PluginError, SsacError
 
 LONG = "A summary of some length, which a narrow list of commands would cut."
 ENTRIES = (
     Entry("greet", "Use", LONG, "greeting_of_a_test", "greet"),
+    Entry("measure", "Use", "Measure.", "greeting_of_a_test", "measure"),
     Entry("broken", "Reproduce", "Cannot be imported.", "no_such_module", "f"),
 )
 MODULE = '''
 from pathlib import Path
 from typing import Annotated
 import typer
+from ssac.cli.options import number
 
 def greet(
     name: Annotated[str, typer.Argument(metavar="NAME")],
@@ -27,6 +39,14 @@ def greet(
     typer.echo(f"hello {name}{'!' * loud}")
     if name == "nobody":
         raise typer.Exit(1)
+
+def measure(
+    half_window: Annotated[float, number("Of a sample.", 0.001, 0.25, "seconds")] = 0.02,
+    size: Annotated[tuple[int, int], number("Of a sensor.", 1, 99, metavar="W H")] = (9, 9),
+    extent: Annotated[float | None, number("Of a thing.", 1, 2, "metres")] = None,
+) -> None:
+    """Measure."""
+    typer.echo(f"{half_window} {size} {extent}")
 
 def help_sections():
     return {"People": [("ada", "wrote programs")]}
@@ -50,7 +70,7 @@ def test_the_list_is_grouped_whole_and_imports_nothing(flag, capsys):
     assert ssac(flag) == DONE
     shown = " ".join(capsys.readouterr().out.split())
     assert "What it is. Options: " in shown
-    assert f"Use: greet {LONG} Reproduce: broken Cannot be imported." in shown
+    assert f"Use: greet {LONG} measure Measure. Reproduce: broken Cannot be imported." in shown
     assert "greeting_of_a_test" not in sys.modules
 
 
@@ -64,6 +84,11 @@ def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
     usage = "Usage: ssac greet [OPTIONS] NAME Say hello. Arguments: NAME [required]"
     assert shown.startswith(usage)
     assert shown.endswith("People: ada wrote programs")
+    assert ssac("measure", "--help") == DONE
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--half-window SECONDS Of a sample. From 0.001 to 0.25 seconds. [default: 0.02]" in shown
+    assert "--size W H Of a sensor. From 1 to 99. [default: 9, 9]" in shown
+    assert "--extent METRES Of a thing. From 1 to 2 metres." in shown
 
 
 def test_the_version_goes_to_stdout_and_the_list_without_a_command_to_stderr(capsys):
@@ -105,3 +130,252 @@ def test_a_shell_completes_names_without_importing_and_options(
     assert end.value.code == 0
     assert capsys.readouterr().out.split() == [shown]
     assert ("greeting_of_a_test" in sys.modules) == (shown == "--loud")
+
+
+HALF_WINDOW = "--half-window: expected 0.001 to 0.25 seconds, got"
+
+
+@pytest.mark.parametrize(
+    ("args", "shown"),
+    [
+        ("", "0.02 (9, 9) None"),
+        ("--half-window 0.001 --size 1 99", "0.001 (1, 99) None"),
+        ("--half-window 0.25 --extent 2", "0.25 (9, 9) 2.0"),
+        *((f"--half-window {value}", f"{HALF_WINDOW} {value}") for value in ("20", "nan", "-inf")),
+        ("--size 9 100", "--size: expected 1 to 99, got 100"),
+        ("--extent 0.99", "--extent: expected 1 to 2 metres, got 0.99"),
+    ],
+)
+def test_values_within_the_range_are_taken_and_others_refused(args, shown, capsys):
+    if "expected" in shown:
+        with pytest.raises(SsacError) as refused:
+            ssac("measure", *args.split())
+        assert str(refused.value) == shown
+    else:
+        assert ssac("measure", *args.split()) == DONE
+        assert capsys.readouterr().out == f"{shown}\n"
+
+
+# --- Fields of the config ---
+
+GIVEN = {
+    "search": (-0.3, 0.4),
+    "search_all": True,
+    "rate_range": (0.9, 1.1),
+    "skew_prior": 7.0,
+    "clock": "pieces",
+    "roughness": 9.0,
+    "no_denoise": True,
+    "n_samples": 30,
+    "half_window": 0.01,
+    "n_min": 11,
+    "neighbours": 3,
+}
+CASES = [
+    pytest.param(command, name, option, id=f"{command.__name__}-{name}")
+    for command in (sync, convert)
+    for name, option in command.OPTIONS.items()
+    if option.field
+]
+
+
+@pytest.mark.parametrize(("command", "name", "option"), CASES)
+def test_an_option_sets_its_field_and_no_other(command, name, option):
+    defaults = {key: one.parameter[1] for key, one in command.OPTIONS.items()}
+    assert config_of(command.OPTIONS, defaults) == Config()
+    changed = config_of(command.OPTIONS, defaults | {name: GIVEN[name]})
+    value = GIVEN[name] if option.value is None else option.value
+    assert getattr(changed, option.field) == value != getattr(Config(), option.field)
+    assert changed == Config(**{option.field: value})
+
+
+def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
+    with compilation_told():
+        one, other = (numba.njit(lambda x, k=k: x + k) for k in (1, 2))
+        assert capsys.readouterr().err == ""
+        assert one(1) + other(1) == 5
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("compiling kernels")
+    with compilation_told():
+        one(1)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def said(capsys, monkeypatch):
+    """Do things of equal length, one after the other; give the lines."""
+
+    def lines(total, step_s, n_done, is_brief):
+        now_s = [0.0]
+        monkeypatch.setattr("ssac.cli.progress.time.monotonic", lambda: now_s[0])
+        with progress(total, "flights", is_brief) as advance:
+            for n in range(1, n_done + 1):
+                now_s[0] += step_s
+                advance(n)
+        return capsys.readouterr().err.splitlines()
+
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("total", "step_s", "n_done", "is_brief", "told"),
+    [
+        (300, 0.5, 300, False, range(30, 301, 30)),  # each tenth
+        (100, 12.0, 9, False, (3, 6, 9)),  # every 30 s
+        *((n, 1.0, n, False, range(1, n + 1)) for n in (1, 3, 7)),  # of few things each
+        (100, 0.2, 100, True, ()),  # brief work says nothing until it is long
+        (100, 1.0, 100, True, range(30, 101, 10)),
+    ],
+)
+def test_lines_come_at_each_tenth_and_every_30_s(total, step_s, n_done, is_brief, told, said):
+    lines = said(total, step_s, n_done, is_brief)
+    assert [line.split(" done")[0] for line in lines] == [f"flights: {n} of {total}" for n in told]
+    if total == 300:
+        assert lines[0] == "flights: 30 of 300 done after 00:15, 02:15 left"
+        assert lines[-1] == "flights: 300 of 300 done after 02:30"
+
+
+def shown(total: int) -> None:
+    """Do so many things, and say something else amid them."""
+    with progress(total, "flights") as advance:
+        for n_done in range(total + 1):
+            advance(n_done)
+            if n_done == 1:
+                say("a worker died")
+
+
+def test_where_stderr_is_no_terminal_nothing_is_written_over(capsys):
+    for total, is_shown in ((0, True), (5, False)):
+        with progress(total, "flights", is_shown=is_shown) as advance:
+            advance(total)
+    assert capsys.readouterr().err == ""
+    shown(2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "\r" not in err
+    assert err.splitlines() == [
+        "flights: 1 of 2 done after 00:00, 00:00 left",
+        "a worker died",
+        "flights: 2 of 2 done after 00:00",
+    ]
+
+
+def test_a_terminal_has_a_bar(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    shown(2)
+    err = capsys.readouterr().err
+    assert "\rflights: 100%|" in err
+    assert "2/2 [" in err
+    assert "done after" not in err
+
+
+class OwnError(ValueError):
+    pass
+
+
+def raising(error: BaseException):
+    def run() -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("code", [DONE, NO_ESTIMATE, BAD_INPUT])
+def test_a_command_says_its_own_code_though_its_output_is_closed(code, capsys, monkeypatch):
+    assert guarded(lambda: code) == code
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys, "stdout", None)  # as Python has it then
+    assert guarded(lambda: code) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (SsacError("a.h5: expected events,\n  got none"), "a.h5: expected events, got none"),
+        (FileNotFoundError(2, "No such file", "a.h5"), "[Errno 2] No such file: 'a.h5'"),
+        (OwnError("of another package"), "of another package"),
+    ],
+)
+def test_what_is_wrong_with_the_input_is_one_line(error, line, capsys):
+    assert guarded(raising(error), (OwnError,)) == BAD_INPUT
+    assert capsys.readouterr() == ("", f"error: {line}\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "start"),
+    [
+        (OwnError("x"), "a bug in this program, OwnError"),
+        (MemoryError(), "a bug in this program, MemoryError"),
+        (PluginError("mine 1.2: KeyError"), "mine 1.2: KeyError; please report it"),  # not ours
+    ],
+)
+def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, start, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert guarded(raising(error)) == BUG
+    out, err = capsys.readouterr()
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(f"error: {start}")
+    assert err.rstrip().endswith(str(file))
+    assert "in run\n    raise error" in file.read_text()
+
+
+def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", "/no/such/folder")
+    assert guarded(raising(KeyError("x"))) == BUG
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "raise error" in err
+
+
+def guarded_process(body: str, **options) -> subprocess.Popen:
+    code = f"""
+import sys
+from ssac.cli.exits import guarded
+def run():
+{body}
+sys.exit(guarded(run))
+"""
+    # Whoever runs the tests in the background may have made them deaf to interrupts.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    command = [sys.executable, "-c", code]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heed, **options)
+
+
+def test_a_reader_that_stops_reading_is_no_crash():
+    read, write = os.pipe()
+    os.close(read)
+    process = guarded_process("    print('x')\n    return 0", stdout=write)
+    os.close(write)
+    assert process.communicate() == (None, b"")
+    assert process.returncode == PIPE_CLOSED
+
+
+SLEEP = "import time\n{0}print('here', flush=True)\n{0}time.sleep(60)\n"
+SWALLOWED = f"""
+    try:
+        {SLEEP.format(8 * " ")}
+    except BaseException:
+        print('swallowed', flush=True)
+    time.sleep(60)"""
+
+
+@pytest.mark.parametrize(("body", "said"), [("    import slow", b""), (SWALLOWED, b"swallowed\n")])
+def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body, said, tmp_path):
+    """As when the user changes their mind in the first second."""
+    (tmp_path / "slow.py").write_text(SLEEP.format(""))
+    body = f"    sys.path.insert(0, {str(tmp_path)!r})\n{body}"
+    process = guarded_process(body, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"here\n"
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30) == (said, b"interrupted\n")
+    assert process.returncode == INTERRUPTED
+
+
+def test_an_interrupt_is_one_line_and_leaves_the_callers_signals_as_they_were(capsys):
+    numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    assert guarded(raising(KeyboardInterrupt())) == INTERRUPTED == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert [signal.getsignal(number) for number in numbers] == before

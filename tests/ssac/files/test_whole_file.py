@@ -11,12 +11,11 @@ from types import SimpleNamespace
 import pytest
 
 from sim.storage import partial_path
-from ssac.errors import SsacError, WriteError
+from ssac.errors import WriteError
 from ssac.files import whole_file as module
 from ssac.files.whole_file import (
     LEFT_OVER_S,
     check_folder,
-    check_targets,
     check_writable,
     is_left_over,
     remove_left_over,
@@ -99,13 +98,6 @@ def test_what_cannot_be_a_file_is_refused_before_any_work(tmp_path, monkeypatch)
     monkeypatch.setattr(module.os, "access", lambda *_: False)  # tests may run as root
     with pytest.raises(WriteError, match="cannot be written to: name another place"):
         check_writable(tmp_path / "out.csv")
-
-
-def test_two_outputs_are_not_one_file(tmp_path):
-    check_targets((tmp_path / "one.txt", None, tmp_path / "two.txt", None), ())
-    same = tmp_path / "one.txt", tmp_path.joinpath("..", tmp_path.name, "one.txt")
-    with pytest.raises(SsacError, match=r"one\.txt: is named for two outputs"):
-        check_targets(same, ())
 
 
 def test_a_disk_without_room_is_refused_before_any_work(tmp_path, monkeypatch):

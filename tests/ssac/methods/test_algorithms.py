@@ -1,40 +1,40 @@
-"""Algorithms 1 and 2 on synthetic events of known offset and pose, and what they refuse."""
+"""The paper's algorithms and the compared methods, on signals of known offset."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ssac import ssac, ssac_known
+from ssac import albl, ssac, ssac_known, zncc_f
+from ssac.camera import Rig
 from ssac.config import Config
+from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import reweighted_fundamental
+from ssac.methods import correlations
+from ssac.methods.albl import _Linearised, _ransac
 from ssac.points import PointTrack
+from ssac.rules import AlblRules
 from ssac.track.observation import Observation, tracked
-from tests.ssac.synthetic import HEIGHT, make_events, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.synthetic import (
+    CAMERA,
+    HEIGHT,
+    make_events,
+    make_scene,
+    rotation_angle_deg,
+    track_pair,
+)
 
 CLEAN = Config(denoise=False)  # the synthetic events have no noise to remove
 
 
-def observe(scene, seed, t_d_s=0.0, **kwargs):
-    return [Observation(events) for events in make_events(scene, seed, t_d_s, **kwargs)]
+def observe(scene, seed, t_d_s):
+    return [Observation(events) for events in make_events(scene, seed, t_d_s)]
 
 
 @pytest.fixture(scope="module")
 def flight():
     scene = make_scene(seed=0, duration_s=12.0)
     return scene, observe(scene, seed=0, t_d_s=0.05)
-
-
-@pytest.mark.parametrize("t_d_s", [0.0, 0.5])
-def test_both_algorithms_find_offsets_near_and_far(t_d_s):
-    scene = make_scene(seed=3, angle_deg=30.0)
-    cameras = observe(scene, 3, t_d_s)
-    for method, rig in ((ssac_known, scene.rig), (ssac, scene.unknown_rig)):
-        estimate = method(*cameras, rig, CLEAN)
-        assert estimate.status == "ok"
-        # The bound of 400 windows with 0.3 px of noise is 0.16 ms. Four times that.
-        assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.0006)
-        assert estimate.n_samples > 300
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,8 @@ def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried
     fast = method(*cameras, scene.rig, config)
     slow = method(*cameras, scene.rig, replace(config, exhaustive=True))
     assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)  # the same cost on the same grid
+    # The bound of 400 windows with 0.3 px of noise is 0.16 ms. Five times that.
+    assert fast.t_d_s == pytest.approx(t_d_s, abs=0.8e-3)
     assert len(slow.candidates_s) == tried
 
 
@@ -90,8 +92,145 @@ def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
         assert ("200 events" in estimate.reason) == has_events
 
 
-def test_an_offset_outside_the_interval_is_refused():
-    scene = make_scene(seed=0)
-    cameras = observe(scene, seed=0, t_d_s=0.15)  # d_avg falls towards it from 100 ms away
-    config = replace(CLEAN, interval_s=(0.0, 0.1))
-    assert ssac_known(*cameras, scene.rig, config).status == "search_bound"
+# --- Compared methods ---
+
+RIG = Rig(CAMERA, CAMERA)
+OF_EVENTS = [
+    (correlations.zncc_e_of_events, 0.010),
+    (correlations.event_rate_of_events, 0.001),
+]  # and their units [s]
+
+
+def flickering_events(rng, duration_s=10.0):
+    """Events whose rate changes at random every 50 ms."""
+    rates = rng.uniform(1_000.0, 20_000.0, int(duration_s / 0.05))
+    times_s = [0.05 * (i + rng.random(rng.poisson(0.05 * r))) for i, r in enumerate(rates)]
+    events = np.zeros(sum(map(len, times_s)), EVENT_DTYPE)
+    events["t"] = np.sort(np.concatenate(times_s)) * 1e6
+    return events
+
+
+@pytest.mark.parametrize(("method", "unit_s"), OF_EVENTS)
+def test_delayed_event_rates_are_recovered(method, unit_s):
+    camera = Observation(flickering_events(np.random.default_rng(0)))
+    for t_d_s in (0.0, 0.13, -0.71):
+        estimate = method(camera, camera.delayed(t_d_s), CLEAN)
+        assert estimate.status == "ok"
+        assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)  # a multiple of the unit
+        assert np.allclose(np.diff(estimate.candidates_s), unit_s)
+        assert np.argmin(estimate.costs) == np.argmin(np.abs(estimate.candidates_s - t_d_s))
+        assert estimate.R is None
+    between = method(camera, camera.delayed(0.0337), CLEAN)
+    assert between.t_d_s == pytest.approx(0.0337, abs=unit_s)
+
+
+def test_delayed_frames_are_recovered():
+    rng, times_s = np.random.default_rng(0), 0.02 * np.arange(500)
+    frames = np.cumsum(rng.normal(size=(500, 4, 5)) * rng.uniform(0.1, 2.0, (500, 1, 1)), axis=0)
+    nothing = np.zeros(0, EVENT_DTYPE)
+
+    def found(later_s):
+        cameras = [Observation(nothing, frames, times_s + by_s) for by_s in (0.0, later_s)]
+        return correlations.zncc_f_of_frames(*cameras, CLEAN).t_d_s
+
+    for t_d_s in (0.0, 0.1, -0.5):
+        assert found(t_d_s) == pytest.approx(t_d_s, abs=1e-9)  # rounding
+        units = found(t_d_s + 0.005) / 0.02
+        assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
+
+
+def test_what_is_compared_of_frames_is_their_mean():
+    rng = np.random.default_rng(3)
+    times_s, nothing, cameras = 0.02 * np.arange(300) + 0.01, np.zeros(0, EVENT_DTYPE), []
+    for lag in (0, 5):
+        frames = rng.integers(0, 255, (300, 6, 8), dtype=np.uint8)
+        frames[:, 0, 0] = np.roll(np.linspace(0, 255, 300) % 40, lag)
+        means = correlations.frame_means(frames).reshape(-1, 1, 1)
+        forms = frames, frames.astype(np.float64), means
+        cameras.append([Observation(nothing, form, times_s) for form in forms])
+    whole, floating, means = (zncc_f(*pair, RIG) for pair in zip(*cameras, strict=True))
+    assert np.isfinite(whole.costs).sum() > 40
+    # Sums of whole numbers are exact. NaN where less than half overlaps.
+    assert np.array_equal(whole.costs, floating.costs, equal_nan=True)
+    assert np.array_equal(whole.costs, means.costs, equal_nan=True)
+
+
+@pytest.mark.parametrize("outlier_share", [0.0, 0.3])
+def test_ransac_of_albl_finds_the_shift_among_outliers(outlier_share):
+    rng = np.random.default_rng(0)
+    # Coordinates of order 1, of 0.01 of a pixel, with 0.5 px of noise.
+    x1, x2 = (0.01 * p for p in track_pair(make_scene(seed=0), np.linspace(0.0, 20.0, 90)))
+    x1, x2 = x1 - [1.73, 1.3], x2 - [1.73, 1.3] + rng.normal(0.0, 0.005, x2.shape)
+    bad = rng.random(90) < outlier_share
+    x2[bad] = rng.uniform(-1.5, 1.5, (bad.sum(), 2))
+    columns = (np.ascontiguousarray(x.T) for x in (x1, x2, rng.normal(0.0, 2.0, (90, 2))))
+    pairs = _Linearised(*columns, 100.0, 0.02)
+    numbers = rng.random((200, 90))
+    found = _ransac(pairs, numbers, 0.0, AlblRules())
+    share = found.inlier_share
+    assert share == 1.0 if outlier_share == 0.0 else 0.6 < share < 0.8
+    less = _ransac(pairs, numbers, share - 0.05, AlblRules())  # that bars all but the best
+    assert (less.shift_s, less.inlier_share) == (found.shift_s, share)
+    # 0.5 px of noise at 200 px/s in 60 pairs or more, six parameters: about 0.4 ms.
+    assert abs(found.polished(0.02)) < 0.002
+
+
+def test_albl_recovers_large_offsets_or_refuses():
+    # More than the object takes to turn round, so that often no growing step leads there.
+    n_right = 0
+    for seed, t_d_s in ((0, -0.8), (0, 0.05), (1, 0.5), (1, -0.2), (2, -0.8), (2, 0.5)):
+        scene = make_scene(seed, duration_s=8.0)
+        cameras = observe(scene, seed, t_d_s)
+        estimate = albl(*cameras, scene.unknown_rig, CLEAN)
+        if estimate.status == "ok":
+            n_right += 1
+            assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.002)
+        else:
+            assert estimate.status == "no_convergence"
+            assert np.isnan(estimate.t_d_s)
+            assert "local optimum" in estimate.reason
+    assert n_right >= 4  # of 6; from those refused no growing step leads to the offset
+
+
+def test_zncc_is_one_for_scaled_signals_at_their_lag():
+    values = np.random.default_rng(0).normal(size=200)
+    first, second = correlations.Signal(10, values), correlations.Signal(13, 3.0 * values + 5.0)
+    curve = correlations.zncc(first, second, np.array([2, 3, 4, 150]), 0.5)
+    assert curve[1] == pytest.approx(1.0)
+    assert max(curve[0], curve[2]) < 0.5
+    assert np.isnan(curve[3])  # less than half of the signals overlap
+
+
+def test_events_are_counted_by_whole_microseconds():
+    # A time on the bound of two bins belongs to the later one, and bins go on below zero.
+    counts = correlations.counted(np.array([-10_001, -10_000, 0, 9_999, 10_000, 35_000]), 10_000)
+    assert counts.first_bin == -2
+    assert counts.values.tolist() == [1.0, 1.0, 2.0, 1.0, 0.0, 1.0]
+    assert len(correlations.counted(np.empty(0, np.int64), 10_000).values) == 0
+
+
+def test_binning_averages():
+    times_s = np.array([0.021, 0.025, 0.031, 0.055])
+    means = correlations.binned(times_s, np.array([1.0, 3.0, 4.0, 8.0]), 0.01)
+    assert means.values.tolist() == [2.0, 4.0, 6.0, 8.0]  # the empty bin is interpolated
+    assert len(correlations.binned(np.empty(0), np.empty(0), 0.01).values) == 0
+
+
+def test_constant_signals_are_refused():
+    events = np.zeros(4_000, EVENT_DTYPE)
+    events["t"] = np.arange(4_000) * 1000 + 500
+    estimate = correlations.zncc_e_of_events(Observation(events), Observation(events), CLEAN)
+    assert estimate.status == "no_common_signal"
+    assert np.isnan(estimate.t_d_s)
+
+
+def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree():
+    """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
+    scene = make_scene(seed=0, duration_s=6.0)
+    cameras = observe(scene, 0, 0.05)
+    few = [Observation(camera.events[::100]) for camera in cameras]
+    assert albl(*few, scene.unknown_rig, CLEAN).status == "too_few_samples"
+    config = replace(CLEAN, interval_s=(0.05, 0.05 + 1e-7))
+    estimate = albl(*cameras, scene.unknown_rig, config)
+    assert estimate.status == "no_convergence"
+    assert "only 0 % of the pairs agree" in estimate.reason

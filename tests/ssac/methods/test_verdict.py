@@ -1,20 +1,24 @@
-"""Which fits and solutions are relied upon, and which of several is taken: where thresholds lie."""
+"""What is relied upon: thresholds, which of several solutions is taken, who may overrule whom."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac import Estimate, Observation, Status, joint_known, ssac
-from ssac.camera import Rig
-from ssac.methods.hypotheses import Solution, choose
+from ssac import Chain, Config, Estimate, Observation, Status, ssac, two_views
+from ssac.estimate import SETTLED_BY
+from ssac.methods.hypotheses import Choice, Solution, choose
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import tangency_from
 from ssac.methods.verdict import certain, doubt, less_sure
-from ssac.rules import Rules
+from ssac.rules import RetryRules, Rules
+from ssac.track.observation import tracked
+from tests.ssac.box import CLEAN, T_D_S, box_events, observations
 from tests.ssac.methods import flights
 from tests.ssac.synthetic import make_events, make_scene
+from tests.ssac.tracks import frame_track
 
 RULES = Rules().verdict
 OBJECT_PX = 10.0
@@ -61,7 +65,7 @@ def with_deviations(t_d_std_s=1e-3, **turns_deg):
     degrees = [turns_deg.get(f"angle_{k}", 0.1) for k in range(5)]
     return Estimate(
         "joint",
-        t_d_s=flights.T_D_S,
+        t_d_s=T_D_S,
         t_d_std_s=t_d_std_s,
         R=np.eye(3),
         t=np.array([1.0, 0.0, 0.0]),
@@ -91,18 +95,8 @@ def test_what_is_not_certain_is_refused(estimate, status, words):
         assert found.R is found.t is None
         assert found.has_offset == (status == Status.DEGENERATE_POSE)
     if status == Status.DEGENERATE_POSE:
-        assert found.t_d_s == flights.T_D_S
+        assert found.t_d_s == T_D_S
         assert np.abs(found.unobservable) == pytest.approx(np.eye(6)[[2]])
-
-
-def test_extrinsics_of_another_rig_are_refused_or_widen_the_deviation():
-    scene, other = make_scene(4, duration_s=flights.DURATION_S), make_scene(4, angle_deg=97.0)
-    cameras = flights.seen(scene, 4)
-    assert joint_known(*cameras, scene.rig, flights.CLEAN).status == Status.OK
-    wrong = Rig(scene.rig.cam1, scene.rig.cam2, other.rig.T_2_1)
-    found = joint_known(*cameras, wrong, flights.CLEAN)
-    is_held = abs(found.t_d_s - flights.T_D_S) < 3.5 * found.t_d_std_s
-    assert found.status != Status.OK or is_held
 
 
 def nearly_periodic(stray_m, from_s=0.0):
@@ -124,7 +118,7 @@ def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
     # of it, makes an offset a turn away fit 1.1 to 2 times worse; twice that, 2 to 3.5 times.
     estimate = flights.found(nearly_periodic(stray_m), "joint")
     assert estimate.status == status
-    assert estimate.t_d_s == pytest.approx(flights.T_D_S, abs=5e-4)  # a few deviations of joint's
+    assert estimate.t_d_s == pytest.approx(T_D_S, abs=5e-4)  # a few deviations of joint's
 
 
 def test_all_but_the_worst_pairs_tell_solutions_apart():
@@ -135,16 +129,16 @@ def test_all_but_the_worst_pairs_tell_solutions_apart():
 
 def test_where_the_fundamental_matrix_is_open_other_offsets_are_tried():
     # On a circle each offset has a pose that fits, the wrong ones at 0.1 s too.
-    start = Estimate("ssac", Status.DEGENERATE_POSE, "F is open", t_d_s=flights.T_D_S)
-    estimate = joint_from(start, flights.flown(flights.circle).under(flights.CLEAN).views())
+    start = Estimate("ssac", Status.DEGENERATE_POSE, "F is open", t_d_s=T_D_S)
+    estimate = joint_from(start, flights.flown(flights.circle).under(CLEAN).views())
     assert estimate.status == Status.AMBIGUOUS_OFFSET
     assert not estimate.has_offset
 
 
 @pytest.mark.parametrize(("std_s", "status"), [(0.001, Status.DEGENERATE_POSE), (0.005, Status.OK)])
 def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
-    off = {"t_d_s": flights.T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5, or 1
-    chain = flights.flown(flights.free).under(flights.CLEAN)
+    off = {"t_d_s": T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5, or 1
+    chain = flights.flown(flights.free).under(CLEAN)
     start = replace(chain.estimate("joint"), status=Status.DEGENERATE_POSE, reason="open", **off)
     assert tangency_from(start, chain.views()).status == status
 
@@ -152,13 +146,13 @@ def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status)
 def test_time_out_of_view_is_no_motion():
     # 0.7 s, 8.3 s of nothing, and 0.7 s: six swings between them that nobody saw.
     scene = make_scene(5, duration_s=12.0)
-    streams = make_events(scene, 5, flights.T_D_S, size_m=0.4)
+    streams = make_events(scene, 5, T_D_S, size_m=0.4)
     cameras = []
-    for events, offset_s in zip(streams, (0.0, flights.T_D_S), strict=True):
+    for events, offset_s in zip(streams, (0.0, T_D_S), strict=True):
         times_s = 1e-6 * events["t"] - offset_s
         seen_then = ((times_s > 1.0) & (times_s < 1.7)) | ((times_s > 10.0) & (times_s < 10.7))
         cameras.append(Observation(events[seen_then]))
-    config = replace(flights.CLEAN, interval_s=(flights.T_D_S - 0.25, flights.T_D_S + 0.25))
+    config = replace(CLEAN, interval_s=(T_D_S - 0.25, T_D_S + 0.25))
     estimate = ssac(*cameras, scene.rig, config)
     assert estimate.status == Status.TOO_LITTLE_MOTION
 
@@ -178,7 +172,7 @@ def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_rad, status):
     ]
     found = choose(Estimate("joint"), solutions, Rules())
     assert found.status == status
-    assert found.t_d_s == flights.T_D_S
+    assert found.t_d_s == T_D_S
     assert found.R is None
 
 
@@ -191,3 +185,90 @@ def test_rounded_times_widen_the_offsets_deviation_by_that_of_an_even_distributi
     assert found.t_d_std_s == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert found.covariance[0, 0] == pytest.approx(variance, rel=1e-12)
     np.testing.assert_array_equal(found.covariance[1:, 1:], covariance[1:, 1:])
+
+
+# --- Who may overrule whom ---
+
+REFUSALS = [status for status in Status if status != Status.OK]
+SCENE = make_scene(0, duration_s=3.0)
+OFFSETS_S = np.arange(-0.2, 0.3, 0.001)
+SEARCH = Estimate(
+    "ssac", t_d_s=T_D_S, candidates_s=OFFSETS_S, costs=1.0 + np.abs(OFFSETS_S - T_D_S)
+)
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+def test_positions_settle_what_the_table_names_of_a_search(status):
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, rules=Rules())
+    tried = Choice(views, refine=None).hypotheses(replace(SEARCH, status=status))
+    assert bool(tried) == (status in SETTLED_BY["joint"])
+    assert all(one.status == Status.OK for one in tried)
+
+
+@pytest.fixture(scope="module")
+def views():
+    return two_views(*observations(*box_events(SCENE, 0)), SCENE.unknown_rig, CLEAN)
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("searched", [Status.OK, Status.AMBIGUOUS_OFFSET, Status.NO_MATCH])
+def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, monkeypatch):
+    found = Estimate("tangency", t_d_s=T_D_S, t_d_std_s=1e-4)
+    looked = []
+
+    def settled(choice, start):
+        looked.append(choice.by_own_pairs)
+        return found
+
+    monkeypatch.setattr("ssac.methods.hypotheses.Choice.settled", settled)
+    search = replace(SEARCH, status=searched, alternatives_s=np.array([0.1]))
+    start = Estimate("joint", status, "a reason", start=search)
+    estimate = tangency_from(start, views)
+    assert estimate.method == "tangency"
+    if status in SETTLED_BY["tangency"]:
+        assert estimate.status == Status.OK
+        # Where the search has an offset, it is of positions; else tangents are to find one.
+        assert looked == [searched != Status.OK]
+    else:
+        assert (estimate.status, estimate.reason) == (status, "a reason")
+        assert looked == []
+
+
+def answered(config, status, helps, monkeypatch):
+    """The answer of joint, which refuses an affine clock, and the clocks that were tried."""
+    tried = []
+
+    def joint_from(start, views):
+        tried.append(views.config.clock)
+        if views.config.clock == "pieces" and helps:
+            return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+        return Estimate("joint", status, "a reason", start=start)
+
+    monkeypatch.setattr("ssac.methods.joint.joint_from", joint_from)
+    monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
+    tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
+    config = replace(config, interval_s=(-0.5, 0.5))
+    return Chain(tracks, SCENE.unknown_rig, config).answer("joint"), tried
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+    answer, tried = answered(Config(), status, helps, monkeypatch)
+    is_settled = status in SETTLED_BY["pieces"]
+    # The smoothest first, then rougher ones.
+    n_tried = (1 if helps else 1 + len(RetryRules.roughnesses_ppm)) if is_settled else 0
+    assert tried == ["affine", *n_tried * ["pieces"]]
+    wanders = answer.clock == "pieces"
+    assert wanders == (is_settled and helps)
+    assert answer.estimate.status == (Status.OK if wanders else status)
+    assert answer.config.clock == ("pieces" if wanders else "affine")
+    assert ("a clock wanders" in answer.note) == wanders
+
+
+@pytest.mark.parametrize(
+    "config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)], ids=["affine", "no-skew"]
+)
+def test_a_clock_that_was_asked_for_stays(config, monkeypatch):
+    answer, tried = answered(config, Status.CLOCK_JUMP, True, monkeypatch)
+    assert (answer.estimate.status, answer.clock, tried) == ("clock_jump", "", ["affine"])

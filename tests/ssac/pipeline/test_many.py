@@ -15,6 +15,7 @@ from ssac.pipeline.many import short_names
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, Flight, make_flight
+from tests.ssac.tracks import rig_document
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,8 @@ class Files:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     files = Files(tmp_path_factory.mktemp("many"), make_flight(3))
-    entry = {
-        "camera_model": "pinhole",
-        "intrinsics": [900.0, 900.0, 480.0, 300.0],
-        "distortion_model": "none",
-        "resolution": [960, 600],
-        "intrinsics_std": [0.0, 0.0, 0.0, 0.0],
-    }
+    size = {"intrinsics": [900.0, 900.0, 480.0, 300.0], "resolution": [960, 600]}
+    entry = rig_document(**size, intrinsics_std=[0.0] * 4)["cam0"]
     for file, seen in zip(files.cameras(3), files.flight.seen, strict=True):
         save_track(file, PointTrack(seen.times_s, seen.points_px))
     rig = {f"cam{k}": entry for k in range(3)}

@@ -27,7 +27,7 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS, Input, Registry, choose_method
 from ssac.track.observation import Observation
-from tests.recorded import T_D_S, add_frames
+from tests.recorded import add_frames
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
@@ -48,17 +48,15 @@ def estimate(cam1, cam2, rig, config=None):
 '''
 
 
-SCENE = make_scene(0, duration_s=3.0)
+CELL = Cell(SimConfig(), 0, 0, 0.0, Config(), "mine", {"sim.t_d_s": 0.0})
 
 
 @pytest.fixture(scope="module")
 def chain():
     """Two cameras of a rig whose extrinsics are known."""
-    seen = [Observation(events) for events in make_events(SCENE, 0, rate_hz=8000.0, size_m=0.4)]
-    return Chain(seen, SCENE.rig)
-
-
-# --- Methods of other packages ---
+    scene = make_scene(0, duration_s=3.0)
+    seen = map(Observation, make_events(scene, 0, rate_hz=8000.0, size_m=0.4))
+    return Chain([*seen], scene.rig)
 
 
 def install(folder: Path, package: str, entry: str, source: str = GOOD, version: str = "1.2"):
@@ -109,16 +107,20 @@ def test_ours_come_first_then_others_by_name_and_no_name_is_taken_twice(site):
         registry["mine"]
 
 
-def test_a_function_is_a_method_of_tracks_and_a_method_object_says_the_rest(site):
+def test_a_function_is_a_method_of_tracks_and_a_method_object_says_the_rest(site, monkeypatch):
     install(site, "plain", "mine = plain:estimate")
-    more = {"needs_extrinsics": True, "version": "w3", "known_variant": "no-such"}
+    more, variant = {"needs_extrinsics": True, "version": "w3"}, {"known_variant": "no-such"}
+    install(site, "halved", "half = halved:M", OF_METHOD % ("half", "TRACKS", variant))
     install(site, "whole", "other = whole:M", OF_METHOD % ("other", "RATES", more))
-    plain, whole = (Registry()[name] for name in ("mine", "other"))
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
+    plain, whole = (choose_method(name) for name in ("mine", "other"))
     assert (plain.name, plain.input, plain.summary) == ("mine", Input.TRACKS, "Always the same.")
     assert (plain.needs_extrinsics, whole.needs_extrinsics) == (False, True)
     assert re.fullmatch(r"plain 1\.2 [0-9a-f]{16}", plain.version)
     assert (whole.input, whole.summary) == (Input.RATES, "sums up")
     assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", whole.version)
+    with pytest.raises(SsacError, match="half names 'no-such' as its variant"):
+        choose_method("half", known_extrinsics=True)
 
 
 NO_FUNCTION = "expected a function of"
@@ -185,31 +187,28 @@ def helper(found):
 """
 
 
-def test_a_crash_is_said_to_be_the_packages(site, recorded, tmp_path, monkeypatch, capsys):
+def test_a_crash_is_said_to_be_the_packages_and_in_a_table_it_is_a_row_that_says_so(
+    site, chain, recorded, tmp_path, monkeypatch
+):
     install(site, "fragile", "mine = fragile:estimate", CRASHING)
-    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
+    for module in ("ssac.pipeline.registry", "experiments.lab.scored"):
+        monkeypatch.setattr(f"{module}.METHODS", Registry())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "mine")
     code, out, err = run("sync", *args)
     (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
     assert (code, out) == (3, "")
+    whose = "fragile 1.2 (entry point mine = fragile:estimate): LinAlgError: Singular matrix"
     assert err.splitlines()[-1] == (
-        "error: fragile 1.2 (entry point mine = fragile:estimate): LinAlgError: Singular matrix"
-        f" ({site / 'fragile.py'}, line 9): a bug of that package; please report it with the"
-        f" traceback in {file}"
+        f"error: {whose} ({site / 'fragile.py'}, line 9): a bug of that package; please report it"
+        f" with the traceback in {file}"
     )
     assert "Singular matrix" in file.read_text()
-
-
-def test_in_a_table_a_crash_is_a_row_that_names_the_package(site, chain, monkeypatch):
-    install(site, "fragile", "mine = fragile:estimate", CRASHING)
-    monkeypatch.setattr("experiments.lab.scored.METHODS", Registry())
-    cell = Cell(SimConfig(), 0, 0, 0.0, Config(), "mine", {"sim.t_d_s": 0.0})
     with pytest.raises(PluginError) as crash:
-        scored_row(cell, chain)
+        scored_row(CELL, chain)
     row = refusal(SCORED, crash.value, "mine")
     assert row["status"] == CRASHED
-    assert "PluginError: fragile 1.2 (entry point mine = fragile:estimate): Lin" in row["reason"]
+    assert f"PluginError: {whose}" in row["reason"]
 
 
 CALLABLE = """
@@ -273,8 +272,7 @@ def test_only_who_asks_for_the_extrinsics_is_shown_them(looking, recorded, tmp_p
     ssac.sync(*recorded.pair, rig, "mine")
     loaded = load_rig(rig)
     cameras = [Recording(Path(file), loaded.cam1, "it") for file in recorded.pair]
-    cell = Cell(SimConfig(), 0, 0, T_D_S, Config(), "mine", {"sim.t_d_s": T_D_S})
-    assert scored_row(cell, Chain(cameras, loaded, Config())).status == "ok"
+    assert scored_row(CELL, Chain(cameras, loaded, Config())).status == "ok"
     three, third = yaml.safe_load(rig.read_text()), tmp_path / "third.h5"
     three["cam2"] = three["cam1"]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(three))
@@ -329,15 +327,6 @@ def test_the_version_follows_every_source_file(site):
     again = version_after(lambda: (package / "helper.py").write_text("x = 2"))
     moved = version_after(lambda: (package / "helper.py").rename(package / "helped.py"))
     assert len({first, edited, again, moved}) == 4
-
-
-def test_a_variant_that_is_not_there_is_an_error(site, monkeypatch):
-    source = OF_METHOD % ("mine", "TRACKS", {"known_variant": "mine-known"})
-    install(site, "halved", "mine = halved:M", source)
-    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
-    assert choose_method("mine").name == "mine"
-    with pytest.raises(SsacError, match="mine names 'mine-known' as its variant"):
-        choose_method("mine", known_extrinsics=True)
 
 
 # --- The example of docs/methods.md ---

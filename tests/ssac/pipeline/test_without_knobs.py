@@ -6,14 +6,24 @@ import numpy as np
 import pytest
 
 import ssac
-from ssac.camera import Camera, Rig
+from ssac.camera import Camera
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.pipeline.retries import by_several, other_ways
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
-from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, denoised, make_events, make_scene
+from tests.ssac.synthetic import (
+    CAMERA,
+    HEIGHT,
+    WIDTH,
+    K,
+    clocked,
+    denoised,
+    make_events,
+    make_scene,
+    rotation_angle_deg,
+)
 from tests.ssac.tracks import frame_track
 
 T_D_S = 0.05
@@ -26,12 +36,6 @@ def events():
     return make_events(SCENE, 1, T_D_S, 20_000.0, 0.1)
 
 
-def clocked(events, clock):
-    moved = events.copy()
-    moved["t"] = np.rint(clock(events["t"].astype(np.float64)))
-    return moved
-
-
 def longer(camera, share):
     """Give a camera with focal lengths that are longer by a share, and nothing stated of them."""
     K_longer = camera.K.copy()
@@ -39,45 +43,25 @@ def longer(camera, share):
     return Camera(K_longer, camera.width, camera.height)
 
 
-@pytest.mark.parametrize("t_d_s", [1.5, -4.0, 3600.0])
-def test_clocks_far_apart_are_found(events, t_d_s):
-    one, other = events
-    moved = clocked(other, lambda t: t + 1e6 * (t_d_s - T_D_S))
+@pytest.mark.parametrize(
+    ("later_s", "skew_ppm", "duration_s"),
+    [
+        *((later_s, 0.0, 8.0) for later_s in (1.5, -4.0, 3600.0)),
+        *((0.0, skew_ppm, 8.0) for skew_ppm in (1000.0, -3000.0)),
+        (42.0, 3000.0, 16.0),
+    ],
+)
+def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, skew_ppm, duration_s):
+    scene = make_scene(1, duration_s=duration_s)
+    one, other = make_events(scene, 1, T_D_S, 20_000.0, 0.1)
+    moved = clocked(other, lambda t: (1.0 + 1e-6 * skew_ppm) * t + 1e6 * later_s)
     result = ssac.sync(one, moved, [CAMERA, CAMERA])
     assert result.status == Status.OK
-    assert abs(result.t_d_s - t_d_s) < 4.0 * result.t_d_std_s
-
-
-@pytest.mark.parametrize("skew_ppm", [1000.0, -3000.0])
-def test_a_fast_clock_is_no_jump(events, skew_ppm):
-    one, other = events
-    fast = clocked(other, lambda t: (1.0 + 1e-6 * skew_ppm) * t)
-    result = ssac.sync(one, fast, [CAMERA, CAMERA])
-    assert result.status == Status.OK
-    assert abs(result.skew_ppm - skew_ppm) < 4.0 * result.skew_std_ppm
-    assert "prior deviation of 1000 ppm" in result.to_dict()["note"]
-
-
-def test_a_fast_clock_far_away_is_found():
-    one, other = make_events(make_scene(1, duration_s=16.0), 1, T_D_S, 20_000.0, 0.1)
-    fast = clocked(other, lambda t: 1.003 * t + 42e6)
-    result = ssac.sync(one, fast, [CAMERA, CAMERA])
-    assert result.status == Status.OK
-    assert abs(result.skew_ppm - 3000.0) < 4.0 * result.skew_std_ppm
-
-
-def test_a_jump_stays_one(events):
-    one, other = events
-    result = ssac.sync(one, clocked(other, lambda t: t + 20_000.0 * (t > 4e6)), [CAMERA, CAMERA])
-    assert result.status == Status.CLOCK_JUMP
-    assert result.jump.at_s == pytest.approx(4.0, abs=0.2)  # as far as a second's tries tell
-
-
-def test_an_interval_that_was_asked_for_is_kept(events):
-    one, other = events
-    moved = clocked(other, lambda t: t + 4e6)
-    result = ssac.sync(one, moved, [CAMERA, CAMERA], interval_s=(-1.0, 1.0))
-    assert not result.estimate.has_offset
+    if skew_ppm:
+        assert abs(result.skew_ppm - skew_ppm) < 4.0 * result.skew_std_ppm
+        assert "prior deviation of 1000 ppm" in result.to_dict()["note"]
+    else:
+        assert abs(result.t_d_s - T_D_S - later_s) < 4.0 * result.t_d_std_s
 
 
 def test_a_track_at_another_rate_is_found():
@@ -99,8 +83,7 @@ def test_few_events_are_enough_where_there_is_no_noise():
 def test_no_wrong_focal_length_is_believed(events, share):
     estimate = ssac.sync(*events, [longer(CAMERA, share), UNSTATED]).estimate
     if estimate.status == Status.OK:  # as of a calibration that is less certain
-        off_deg = np.degrees(np.arccos((np.trace(estimate.R @ SCENE.R.T) - 1.0) / 2.0))
-        assert off_deg < 4.0 * estimate.r_std_deg
+        assert rotation_angle_deg(estimate.R, SCENE.R) < 4.0 * estimate.r_std_deg
 
 
 def test_a_wrong_focal_length_is_named(events):
@@ -120,7 +103,7 @@ def test_intrinsics_in_doubt_widen_the_deviations(events):
 def test_it_is_said_how_far_focal_lengths_turn_the_pose(events):
     right = ssac.sync(*events, [CAMERA, CAMERA]).estimate
     wrong = ssac.sync(*events, [longer(CAMERA, 0.02), longer(CAMERA, 0.02)]).estimate
-    turned_deg = np.degrees(np.arccos((np.trace(wrong.R @ right.R.T) - 1.0) / 2.0))
+    turned_deg = rotation_angle_deg(wrong.R, right.R)
     assert 0.02 * right.per_focal_deg[0] == pytest.approx(turned_deg, rel=0.2)  # to first order
 
 
@@ -135,26 +118,6 @@ def test_a_principal_point_outside_of_the_image_is_told(events):
     far = Camera(K + np.array([[0.0, 0.0, 300.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), WIDTH, HEIGHT)
     note = ssac.sync(*events, [far, UNSTATED]).note
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
-
-
-def test_an_inverse_transform_is_told(events):
-    inverse = replace(SCENE.rig, T_2_1=np.linalg.inv(SCENE.rig.T_2_1))
-    known = ssac.sync(*events, SCENE.rig, known_extrinsics=True)
-    assert known.to_dict()["deg_per_percent_of_focals"] == [None, None]  # no pose is estimated
-    result = ssac.sync(*events, inverse, known_extrinsics=True)
-    assert not result.estimate.has_offset
-    assert result.reason.endswith(
-        "the rig's transform leads the other way: give its inverse, x2 = T x1"
-    )
-
-
-def test_exchanged_cameras_are_told():
-    K_2 = np.array([[330.0, 0.0, 150.0], [0.0, 330.0, 150.0], [0.0, 0.0, 1.0]])
-    scene = replace(SCENE, cam2=Camera(K_2, WIDTH, HEIGHT))
-    events = make_events(scene, 1, T_D_S, 20_000.0, 0.1)
-    result = ssac.sync(*events, Rig(scene.cam2, UNSTATED))
-    assert not result.estimate.has_offset
-    assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
 
 
 @pytest.mark.parametrize("seen_hz", [150.0, 0.0])

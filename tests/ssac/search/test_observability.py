@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
-from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.rules import Rules
 from ssac.search.offset_search import (
@@ -24,7 +23,7 @@ from ssac.search.view import returns_s, view_of
 from ssac.track.clean import Clean
 from ssac.track.denoise import Clutter
 from ssac.track.motion import ObjectMotion, object_motion
-from tests.ssac.synthetic import Scene, denoised, make_scene, track_pair
+from tests.ssac.synthetic import Scene, denoised, events_at, make_scene, track_pair
 
 RULES = Rules()
 SEARCH = RULES.search
@@ -38,11 +37,9 @@ def events_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0):
     """A blob of events of this size on a path, at 25 000 events a second."""
     rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, duration_s, round(25_000 * duration_s)))
-    events = np.zeros(len(times_s), EVENT_DTYPE)
-    events["t"] = np.rint(times_s * 1e6)
-    for name, path in (("x", x_px), ("y", y_px)):
-        events[name] = np.rint(path(times_s) + rng.normal(0.0, size_px, len(times_s)))
-    return events
+    n = len(times_s)
+    sides = [path(times_s) + rng.normal(0.0, size_px, n) for path in (x_px, y_px)]
+    return events_at(times_s, np.column_stack(sides))
 
 
 def motion_along(*path, **how) -> ObjectMotion:

@@ -1,19 +1,78 @@
-"""The search on cost curves known in closed form, and its candidates."""
+"""The search for an offset: pairs of two views, cost curves in closed form, and all offsets."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ssac import two_views
 from ssac.config import Config
-from ssac.rules import SearchRules
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE
+from ssac.points import PointTrack
+from ssac.rules import AllOffsetsRules, PointRules, SearchRules
 from ssac.search import offset_search
+from ssac.search.all_offsets import search_all_offsets
 from ssac.search.two_views import TwoViews
-from ssac.track.motion import object_motion
-from tests.ssac.synthetic import make_events, make_scene
+from ssac.search.view import seen_by_both, seen_of
+from ssac.track.motion import object_motion, point_motion
+from ssac.track.observation import tracked
+from tests.ssac.synthetic import CAMERA, K, make_events, make_scene
+from tests.ssac.tracks import frame_track, frame_tracks
 
-RULES = SearchRules()
+T_D_S = 0.25
+SCENE = make_scene(seed=0, duration_s=4.0)
+RULES, OF_ALL = SearchRules(), AllOffsetsRules()
 OFFSETS_S = np.arange(-1000, 1001) * 1e-3
+
+
+@pytest.fixture(scope="module")
+def views():
+    streams = make_events(SCENE, seed=0, t_d_s=T_D_S)
+    return TwoViews(*(object_motion(one, CAMERA) for one in streams), SCENE.rig, Config())
+
+
+def test_pairs_obey_the_sign_convention(views):
+    offsets_s = np.array([-0.1, T_D_S])
+    pairs = views.pairs(offsets_s, n_samples=50)
+    for m, t_d_s in enumerate(offsets_s):
+        times_s = pairs.times_s[m]
+        assert np.array_equal(pairs.p1_px[m], views.motion1.at(times_s).positions_px, True)
+        assert np.array_equal(pairs.p2_px[m], views.motion2.at(times_s + t_d_s).positions_px, True)
+
+
+def test_pairs_at_one_offset_are_the_valid_ones_of_that_offset(views):
+    views = replace(views, config=Config(n_min=300))  # of which some windows hold fewer
+    views = replace(views, motion1=replace(views.motion1, n_min=900))
+    pairs, one = views.pairs(np.array([0.1, T_D_S])), views.pairs_at(T_D_S)
+    valid = pairs.valid[1]
+    assert 0 < np.count_nonzero(valid) < len(valid)
+    assert len(one) == np.count_nonzero(valid)
+    assert np.array_equal(one.times_s, pairs.times_s[1, valid])
+    for ours, theirs in zip(one.points_px, pairs.valid_positions(1), strict=True):
+        assert np.array_equal(ours, theirs)
+    rays1, _ = one.rays(SCENE.rig)
+    np.testing.assert_allclose((rays1 @ K.T)[:, :2], one.p1_px, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("t_d_s", "start_s", "end_s"), [(0.25, 0.0, 4.0), (1.25, 0.0, 3.0), (-0.75, 1.0, 4.0)]
+)
+def test_sample_times_cover_the_overlap(t_d_s, start_s, end_s, views):
+    # Camera 1 records 0 to 4 s, camera 2 0.25 to 4.25 s on its own clock.
+    times_s = views.sample_times(np.array([t_d_s]), 300)[0]
+    assert times_s[0] == pytest.approx(start_s, abs=0.01)  # half a sampling step
+    assert times_s[-1] == pytest.approx(end_s, abs=0.01)
+    assert len(views.sample_times(np.array([t_d_s]))[0]) == Config.n_samples
+
+
+@pytest.mark.parametrize(("points", "sigmas"), [((9, 2), None), ((10, 3), None), ((10, 2), (9,))])
+def test_a_track_of_unequal_lengths_is_refused(points, sigmas):
+    """Bug: it reached NumPy, which could not broadcast it."""
+    times_s = 0.1 * np.arange(10)
+    track = PointTrack(times_s, np.ones(points), None if sigmas is None else np.ones(sigmas))
+    with pytest.raises(SsacError, match=r"camera 1: a track of 10 times must have points of shape"):
+        two_views(tracked(track), tracked(track), SCENE.rig)
 
 
 def searched(cost, offsets_s=OFFSETS_S, coarsest=20, returns_s=None):
@@ -28,14 +87,6 @@ def rounded_v(centre_s):
         return np.minimum(np.sqrt(0.3**2 + (130.0 * distance_s) ** 2), 13.0)
 
     return cost
-
-
-@pytest.fixture(scope="module")
-def views():
-    scene = make_scene(seed=0, duration_s=4.0)
-    events1, events2 = make_events(scene, seed=0, t_d_s=0.25)
-    motions = object_motion(events1, scene.rig.cam1), object_motion(events2, scene.rig.cam2)
-    return TwoViews(*motions, scene.rig, Config())
 
 
 @pytest.mark.parametrize("centre_s", [-0.4321, 0.0, 0.00037, 0.777])
@@ -122,3 +173,74 @@ def test_too_few_pairs_have_no_distance(views):
     F = np.diag([1.0, -1.0, 0.0])
     assert np.isfinite(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
     assert np.isnan(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
+
+
+# --- All offsets ---
+
+
+def of_points(track):
+    return point_motion(track, CAMERA, PointRules())
+
+
+def motions(offset_s):
+    return [*map(of_points, frame_tracks(make_scene(1), offset_s))]
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 1234.567, -86400.0])
+def test_any_offset_is_found_and_no_other_comes_near(offset_s):
+    found = search_all_offsets(*motions(offset_s), OF_ALL)
+    best = found.guesses[0]
+    assert best.t_d_s == pytest.approx(offset_s, abs=0.02)  # half a frame
+    assert best.cost < OF_ALL.max_cost
+    assert all(one.cost > OF_ALL.rival * best.cost for one in found.guesses[1:])
+
+
+def test_candidates_ascend_and_cover_all_offsets_and_progress_is_told_up_to_the_end():
+    shares = []
+    found = search_all_offsets(*motions(50.0), OF_ALL, progress=shares.append)
+    np.testing.assert_allclose(np.diff(found.candidates_s), found.step_s, rtol=1e-6)
+    tried_s = found.candidates_s[np.isfinite(found.costs)]
+    assert tried_s[0] < 50.0 - 10.0  # half of the flight is left
+    assert tried_s[-1] > 50.0 + 10.0
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_a_camera_without_a_path_tells_nothing():
+    """Bug: no event left of a camera gave an infinite number of steps."""
+    one, _ = motions(0.0)
+    at_rest = of_points(PointTrack(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)))
+    for nothing in (at_rest, *(object_motion(np.zeros(n, EVENT_DTYPE), CAMERA) for n in (0, 1))):
+        assert not search_all_offsets(one, nothing, OF_ALL).guesses
+        assert not search_all_offsets(nothing, one, OF_ALL).guesses
+
+
+def gappy(scene, camera, fps, pieces):
+    """Short pieces of flight in a long recording."""
+    track = frame_track(scene, camera, fps, seed=camera)
+    kept = np.any([(track.times_s > a) & (track.times_s < b) for a, b in pieces], axis=0)
+    # Between pieces the clock goes on for ten minutes.
+    late_s = 600.0 * np.sum([track.times_s > b for _, b in pieces], axis=0)
+    return of_points(PointTrack(track.times_s[kept] + late_s[kept], track.points_px[kept]))
+
+
+def test_samples_are_drawn_where_both_see_the_object():
+    scene = make_scene(1, duration_s=30.0)
+    pieces = [(0.0, 8.0), (10.0, 18.0), (20.0, 28.0)]
+    one, other = (gappy(scene, camera, 30.0, pieces) for camera in (1, 2))
+    views = TwoViews(one, other, None, Config())
+    assert seen_of(one).share < 0.1
+    pairs = views.pairs_at(0.0)
+    assert len(pairs) > 200  # half of the samples
+    times_s = seen_of(one).spread(50)
+    assert np.all(np.diff(times_s) > 0.0)
+    assert np.mean(one.at(times_s).valid) > 0.9
+
+
+def test_samples_stay_even_where_the_object_is_seen_most_of_the_time():
+    views = TwoViews(*motions(3.0), None, Config())
+    (times_s,) = views.sample_times(np.array([3.0]), 100)
+    np.testing.assert_allclose(np.diff(times_s), times_s[1] - times_s[0])
+    one, other = seen_of(views.motion1), seen_of(views.motion2)
+    assert seen_by_both(one, other, 3.0, 100, 0.5) is None
+    assert seen_by_both(one, other, 1e6, 100, 0.5) is None

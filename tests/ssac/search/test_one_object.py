@@ -12,7 +12,7 @@ from ssac.rules import Rules
 from ssac.search.one_object import one_object
 from ssac.track.clean import clean
 from ssac.track.observation import tracked
-from tests.ssac.crowds import DURATION_S, T_D_S, branches, flight, mixed
+from tests.ssac.cluttered import DURATION_S, T_D_S, branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, denoised, make_scene, rotation_angle_deg, track_pair
 
 RIG = Rig(CAMERA, CAMERA)

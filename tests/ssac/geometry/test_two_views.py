@@ -1,0 +1,238 @@
+"""Laws of two views: epipolar lines, estimators of F, and the pose that F holds."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ssac.geometry import epipolar, fundamental
+from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
+from ssac.geometry.fundamental import reweighted_fundamental
+from ssac.geometry.pose import (
+    homography_poses,
+    nearest_pose,
+    pose_from_fundamental,
+    possible_poses,
+)
+from ssac.rules import SearchRules
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, angle_deg, make_scene, project, track_pair
+
+ROUNDING_PX = 1e-9  # pixel coordinates of order 100 carry about 1e-14
+
+
+@pytest.fixture(params=[30.0, 90.0, 150.0])
+def exact(request):
+    scene = make_scene(seed=1, angle_deg=request.param)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 100))
+    return epipolar.fundamental_from_pose(K, K, scene.R, scene.t), p1, p2
+
+
+def test_corresponding_points_satisfy_the_epipolar_constraint(exact):
+    F, p1, p2 = exact
+    assert np.allclose(epipolar.sampson_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
+    assert np.allclose(epipolar.epipolar_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
+
+
+def test_f_has_rank_two_and_e_equal_singular_values(exact):
+    F, _, _ = exact
+    assert np.linalg.svd(F)[1][2] < 1e-15 * np.linalg.norm(F) * 100  # rounding of a 3x3 product
+    singular = np.linalg.svd(epipolar.essential_from_fundamental(F, K, K))[1]
+    assert np.allclose(singular / singular[0], [1.0, 1.0, 0.0], atol=1e-12)
+    back = epipolar.fundamental_from_essential(epipolar.essential_from_fundamental(F, K, K), K, K)
+    assert np.allclose(back, F, atol=1e-12 * np.linalg.norm(F))
+
+
+def test_distance_is_measured_in_image_1(exact):
+    F, p1, p2 = exact
+    lines = epipolar.epipolar_lines_1(F, p2)
+    normals = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    assert np.allclose(epipolar.epipolar_distance(F, p1 + 2.5 * normals, p2), 2.5, atol=ROUNDING_PX)
+
+
+def test_a_point_without_a_line_has_no_finite_distance():
+    """Bug: a line at infinity warned of a division by zero."""
+    F = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # l1 = (1, 0, x2)
+    at_infinity = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (x2, 0, 1)
+    p1, p2 = np.array([[3.0, 4.0]]), np.array([[0.0, 5.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert epipolar.epipolar_distance(F, p1, p2) == pytest.approx([3.0])
+        assert np.isposinf(epipolar.epipolar_distance(at_infinity, p1, p2)).all()
+        assert np.isnan(epipolar.epipolar_distance(np.zeros((3, 3)), p1, p2)).all()
+
+
+def test_a_rigid_move_of_the_world_changes_nothing():
+    rng = np.random.default_rng(0)
+    points_W = rng.uniform(-1.0, 1.0, (50, 3))
+    R1_W, R2_W = Rotation.random(2, rng).as_matrix()
+    t1_W, t2_W = np.array([[0.0, 0.0, 5.0], [0.3, -0.2, 6.0]])
+    move, shift = Rotation.random(random_state=1).as_matrix(), np.array([3.0, -2.0, 1.0])
+
+    def relative_pose(R1, t1, R2, t2):
+        R = R2 @ R1.T
+        return epipolar.fundamental_from_pose(K, K, R, t2 - R @ t1)
+
+    # World points X become move X + shift; so R_W becomes R_W move', t_W: t_W - R_W move' shift.
+    F = relative_pose(R1_W, t1_W, R2_W, t2_W)
+    moved = [(R @ move.T, t - R @ move.T @ shift) for R, t in ((R1_W, t1_W), (R2_W, t2_W))]
+    assert np.allclose(relative_pose(*moved[0], *moved[1]), F, atol=1e-12 * np.linalg.norm(F))
+    p1, p2 = project(points_W @ R1_W.T + t1_W), project(points_W @ R2_W.T + t2_W)
+    assert np.allclose(epipolar.sampson_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
+
+
+def test_sampson_distance_of_noise_has_its_deviation(exact):
+    F, p1, p2 = exact
+    rng = np.random.default_rng(0)
+    noisy = [p + rng.normal(0.0, 0.3, (40, *p.shape)) for p in (p1, p2)]
+    distances = [epipolar.sampson_distance(F, a, b) for a, b in zip(*noisy, strict=True)]
+    # 4000 distances know their deviation to 1.1 %; second-order terms are far below.
+    assert np.std(distances) == pytest.approx(0.3, rel=0.05)
+
+
+def test_sampson_derivatives_equal_central_differences(exact):
+    (F, p1, p2), rng, h = exact, np.random.default_rng(0), 1e-6
+    p1 = p1 + rng.normal(0.0, 2.0, p1.shape)  # away from zero, where the norm's derivative counts
+    dF = epipolar.fundamental_from_essential(rng.normal(0.0, 1.0, (3, 3)), K, K)
+    dp2, gradient = rng.normal(0.0, 100.0, p2.shape), epipolar.sampson_gradient(F, p1, p2)
+    for by_F, by_p2, analytic in (
+        (0.0, 1.0, epipolar.sampson_derivative(F, p1, p2, dp2)),
+        (1.0, 0.0, np.sum(gradient * dF, axis=(1, 2))),
+    ):
+        upper, lower = (
+            epipolar.sampson_distance(F + step * by_F * dF, p1, p2 + step * by_p2 * dp2)
+            for step in (h, -h)
+        )
+        numeric = (upper - lower) / (2 * h)
+        # The error of central differences grows with h^2 and with rounding over h: 1e-6 of all.
+        assert np.allclose(analytic, numeric, atol=1e-5 * np.abs(numeric).max())
+
+
+# --- Estimators of F ---
+
+ESTIMATORS = {
+    "lmeds": lambda p1, p2: fundamental.lmeds_fundamental(p1, p2, trials=2000),
+    "reweighted": fundamental.reweighted_fundamental,
+    "magsac": lambda p1, p2: fundamental.magsac_fundamental(p1, p2, K, K),
+}
+
+
+def pairs(seed, noise_px=0.0, outlier_share=0.0):
+    scene = make_scene(seed)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
+    rng = np.random.default_rng(seed)
+    p1, p2 = (p + rng.normal(0.0, noise_px, p.shape) for p in (p1, p2))
+    bad = rng.random(len(p1)) < outlier_share
+    p2[bad] = rng.uniform(0.0, [WIDTH, HEIGHT], (bad.sum(), 2))
+    return scene, p1, p2
+
+
+def distances_from_truth(F, scene):
+    """How far, in image 1, F leads exact pairs astray."""
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 100))
+    return np.mean(epipolar_distance(F, p1, p2))
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_exact_pairs_give_the_exact_f(name):
+    scene, p1, p2 = pairs(seed=0)
+    F = ESTIMATORS[name](p1, p2)
+    truth = fundamental_from_pose(K, K, scene.R, scene.t)
+    cosine = np.sum(F * truth) / np.linalg.norm(F) / np.linalg.norm(truth)
+    assert abs(cosine) == pytest.approx(1.0, abs=1e-6)  # 400 pairs, rounding only
+    assert np.linalg.svd(F)[1][2] < 1e-12 * np.linalg.norm(F)
+
+
+@pytest.mark.parametrize(
+    ("name", "outlier_share", "limit_px"),
+    # Seven parameters from 400 pairs: sigma sqrt(7 / 400) = 0.04 px; three times that and more.
+    # MAGSAC++ keeps the noise of its best minimal sample.
+    [*((name, 0.0, 0.15) for name in ESTIMATORS), ("lmeds", 0.3, 0.15), ("magsac", 0.3, 1.0)],
+)
+def test_noise_and_outliers_lead_astray_by_less_than_the_noise(name, outlier_share, limit_px):
+    for seed in range(3):
+        scene, p1, p2 = pairs(seed, 0.3, outlier_share)
+        assert distances_from_truth(ESTIMATORS[name](p1, p2), scene) < limit_px
+
+
+def test_every_estimator_repeats_bit_for_bit_and_the_seed_chooses_the_subsets():
+    _, p1, p2 = pairs(seed=0, noise_px=0.3, outlier_share=0.2)
+    for estimator in ESTIMATORS.values():
+        assert np.array_equal(estimator(p1, p2), estimator(p1, p2))
+    few = [fundamental.lmeds_fundamental(p1, p2, trials=5, seed=seed) for seed in (0, 1)]
+    assert not np.array_equal(*few)
+
+
+# --- The pose in F ---
+
+ROUNDING = 1e-7  # of an SVD of E through K, whose condition number is about 200 squared
+
+
+def assert_pose(pose, scene):
+    assert np.allclose(pose.R, scene.R, atol=ROUNDING)
+    assert np.allclose(pose.t, scene.t / np.linalg.norm(scene.t), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("angle", [30.0, 90.0, 150.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_pose_of_an_exact_f_is_recovered_with_either_sign(angle, sign):
+    scene = make_scene(seed=2, angle_deg=angle)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 50))
+    F = sign * fundamental_from_pose(K, K, scene.R, scene.t)
+    pose = pose_from_fundamental(F, K, K, p1, p2)
+    assert_pose(pose, scene)
+    assert np.linalg.det(pose.R) == pytest.approx(1.0)
+    assert pose.in_front == 1.0
+    turn = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix()
+    for R in (pose.R, turn @ pose.R):
+        assert_pose(nearest_pose(replace(pose, R=R), F, K, K, p1, p2), scene)
+
+
+def test_the_nearest_pose_improves_on_the_decomposition():
+    errors_deg = []
+    for seed in range(10):
+        scene = make_scene(seed, angle_deg=30.0)
+        p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
+        p1, p2 = (p + np.random.default_rng(seed).normal(0.0, 0.3, p.shape) for p in (p1, p2))
+        F = reweighted_fundamental(p1, p2)
+        pose = pose_from_fundamental(F, K, K, p1, p2)
+        nearest = nearest_pose(pose, F, K, K, p1, p2)
+        assert np.allclose(nearest.R @ nearest.R.T, np.eye(3))
+        turned = nearest_pose(pose, -F, K, K, p1, p2)  # F's sign is free
+        assert np.allclose([*turned.R, turned.t], [*nearest.R, nearest.t], atol=ROUNDING)
+        errors_deg.append([angle_deg(p.t, scene.t) for p in (pose, nearest)])
+    decomposed, moved = np.mean(errors_deg, axis=0)
+    assert moved < 0.8 * decomposed  # half of it, over 100 seeds
+
+
+def test_pairs_that_disagree_about_the_pose_show():
+    scene = make_scene(seed=4)
+    points = np.array([scene.path(time_s) for time_s in np.linspace(0.0, 20.0, 50)])
+    points[::2] = -points[::2]  # behind camera 1: the same F, another of the four poses
+    p1, p2 = project(points), project(points @ scene.R.T + scene.t)
+    F = fundamental_from_pose(K, K, scene.R, scene.t)
+    assert pose_from_fundamental(F, K, K, p1, p2).in_front == pytest.approx(0.5, abs=0.1)
+
+
+def test_an_object_at_rest_has_no_pose():
+    points = np.full((40, 2), 100.0)
+    assert possible_poses(points, points, make_scene(seed=4).rig, SearchRules()) == []
+
+
+def test_a_plane_between_the_cameras_gives_their_pose():
+    rng = np.random.default_rng(3)
+    R = Rotation.from_euler("y", 120.0, degrees=True).as_matrix()
+    middle = np.array([0.0, 0.0, 5.0])
+    t = middle - R @ middle  # both look at the middle
+    # The plane of points, x + 0.2 z = 1, has camera 1 on one side and camera 2 on the other.
+    points = rng.uniform(-1.0, 1.0, (50, 3)) + middle
+    points[:, 0] = 1.0 - 0.2 * points[:, 2]
+    seen = [p / p[:, 2:] for p in (points, points @ R.T + t)]
+    sides = np.array([-1.0, -R.T[0] @ t - 0.2 * R.T[2] @ t - 1.0])
+    assert sides[0] * sides[1] < 0.0
+    distance, poses = homography_poses(*seen)
+    assert distance < ROUNDING  # as OpenCV solves for a homography
+    t = t / np.linalg.norm(t)
+    errors = [np.abs(at_R - R).max() + np.abs(at_t - t).max() for at_R, at_t in poses]
+    assert min(errors) < ROUNDING

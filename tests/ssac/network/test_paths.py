@@ -1,0 +1,439 @@
+"""Paths: written and read, laid over each other, compared, and put into metres by the ground."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from ssac.clock import Clock
+from ssac.errors import SsacError
+from ssac.network.align import Similarity, best_shift, similarity
+from ssac.network.comparison import compare
+from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame
+from ssac.network.solve import solve_network
+from ssac.network.tum import Path, read_path, write_path
+from ssac.rules import GroundRules
+from tests.ssac.command import read_json, run
+from tests.ssac.network.flights import DURATION_S, RULES, make_flight
+
+UNIX_S = 1.7e9 + np.arange(50) * 0.2  # as of a receiver that counts from 1970
+
+
+def _path(with_deviations=True):
+    rng = np.random.default_rng(0)
+    positions = np.cumsum(rng.normal(size=(50, 3)), axis=0) + 30.0
+    return Path(UNIX_S, positions, rng.uniform(0.01, 0.1, (50, 3)) if with_deviations else None)
+
+
+@pytest.mark.parametrize("name", ["path.tum", "path.csv"])
+@pytest.mark.parametrize("with_deviations", [True, False])
+def test_a_path_survives_writing(tmp_path, name, with_deviations):
+    file, path = tmp_path / name, _path(with_deviations)
+    write_path(file, path)
+    again = read_path(file)
+    np.testing.assert_allclose(again.times_s, path.times_s, rtol=0.0, atol=3e-7)  # 7 digits, 1970
+    np.testing.assert_allclose(again.positions_m, path.positions_m, rtol=1e-8)  # 9 digits
+    assert (again.deviations_m is not None) == (with_deviations and name.endswith("csv"))
+    if again.deviations_m is not None:
+        np.testing.assert_allclose(again.deviations_m, path.deviations_m, rtol=1e-8)
+    if name.endswith("tum"):
+        assert again.quaternions is None
+        rows = [line.split(" ") for line in file.read_text().splitlines()]
+        assert {(len(row), *row[4:]) for row in rows} == {(8, "0", "0", "0", "1")}
+        turned = np.tile([0.0, 0.6, 0.0, 0.8], (50, 1))
+        write_path(file, replace(path, quaternions=turned))
+        np.testing.assert_array_equal(read_path(file).quaternions, turned)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# t x y z\n0 1 2 3 0 0 0 1\n0.5 2 2 4 0 0 0 1\n",
+        "0 1 2 3\n0.5 2 2 4\n",
+        "t_s,x_m,y_m,z_m\n0,1,2,3\n0.5,2,2,4\n",
+        "\ufefffix, z, y, t, x\r\n1, 3, 2, 0, 1\r\n\r\n1, 4, 2, 0.5, 2\r\n",
+        "1 2 3\n2 2 4\n",  # which is read where no times are needed
+    ],
+)
+def test_forms_that_are_read(tmp_path, text):
+    has_times = not text.startswith("1 2 3")
+    (tmp_path / "path").write_text(text, encoding="utf-8")
+    path = read_path(tmp_path / "path", needs_times=has_times)
+    assert path.has_times == has_times
+    if has_times:
+        np.testing.assert_array_equal(path.times_s, [0.0, 0.5])
+    np.testing.assert_array_equal(path.positions_m, [[1.0, 2.0, 3.0], [2.0, 2.0, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1 2 3\n2 2 4\n", "needs times"),
+        ("x_m,y_m,z_m\n2,2,4\n", "needs times"),
+        ("", "no points"),
+        ("t_s,x_m,y_m,z_m\n", "no points"),
+        ("0 1 2 3\n1 2 nan 4\n", "point 1 has a value that is no finite number"),
+        ("1 1 2 3\n0 2 2 4\n", "time order, but point 1"),
+        ("0 1 2 3\n0 2 2 4\n", "time order, but point 1"),
+        ("0 1 2 3\n1 2 two 4\n", "must be 4 numbers, but point 1 is '1 2 two 4'"),
+        ("0 1 2 3\n1 2 4\n", "must be 4 numbers, but point 1 is '1 2 4'"),
+        ("0 1 2 3 4\n1 2 4 4 5\n", "got 5 numbers"),
+        ("t_s,lat,lon,alt_m\n0,47.1,8.2,400\n", "latitude and longitude"),
+        ("0 47.1 8.2 400\n1 47.1001 8.2001 420\n", "as of degrees"),
+        ("t_s,east,north,up\n0,1,2,3\n", "must name the columns"),
+        ("0 1 2 3\n200000 1 2 4\n", "give seconds"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 4 0 0 0 0\n", "quaternion is zero"),
+        (b"\x89PNG\xff\xfe\x00", "not a text file"),
+    ],
+)
+def test_what_is_no_path_is_refused_in_one_line(tmp_path, text, reason):
+    (tmp_path / "path").write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(SsacError, match=reason) as raised:
+        read_path(tmp_path / "path")
+    assert str(raised.value).startswith(str(tmp_path / "path"))
+    assert "\n" not in str(raised.value)
+
+
+# --- Laid over each other ---
+
+RNG = np.random.default_rng(3)
+POINTS = RNG.normal(size=(40, 3)) * (5.0, 2.0, 1.0)
+TRUE = Similarity(2.5, Rotation.from_rotvec([0.4, -2.0, 1.0]).as_matrix(), np.array([3.0, -7.0, 1]))
+
+
+def _same(a, b):
+    assert a.scale == pytest.approx(b.scale, rel=1e-9)  # rounding
+    np.testing.assert_allclose(a.R, b.R, atol=1e-9)
+    np.testing.assert_allclose(a.t, b.t, atol=1e-8)
+
+
+def test_a_similarity_is_that_of_the_points_and_one_of_a_group():
+    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):  # of a plane too
+        _same(similarity(points, TRUE.apply(points)), TRUE)
+    mirrored = similarity(POINTS, POINTS * (1.0, 1.0, -1.0))
+    assert np.linalg.det(mirrored.R) == pytest.approx(1.0)  # turned, not mirrored
+    assert similarity(POINTS, TRUE.apply(POINTS), with_scale=False).scale == 1.0
+    _same(TRUE.after(TRUE.inverse()), Similarity(1.0, np.eye(3), np.zeros(3)))
+    other = similarity(POINTS, POINTS @ TRUE.R)
+    np.testing.assert_allclose(other.after(TRUE).apply(POINTS), other.apply(TRUE.apply(POINTS)))
+    target = TRUE.apply(POINTS) + RNG.normal(0.0, 0.3, POINTS.shape)
+    found = similarity(POINTS, target)
+    for _ in range(50):  # no other near by has less squares
+        turn = Rotation.from_rotvec(RNG.normal(0.0, 0.01, 3)).as_matrix()
+        scale, shift = found.scale * RNG.normal(1.0, 0.01), RNG.normal(0.0, 0.01, 3)
+        near = Similarity(scale, turn @ found.R, found.t + shift)
+        costs = [np.sum((fit.apply(POINTS) - target) ** 2) for fit in (near, found)]
+        assert costs[0] > costs[1]
+
+
+@pytest.mark.parametrize("points", [POINTS * (1.0, 0.0, 0.0), POINTS * 0.0, POINTS[:2]])
+def test_a_line_or_a_point_does_not_tell_a_turn(points):
+    for pair in ((points, POINTS[: len(points)]), (POINTS[: len(points)], points)):
+        with pytest.raises(SsacError, match="lie on a line"):
+            similarity(*pair)
+
+
+FRAME = Similarity(21.0, Rotation.from_rotvec([0.3, 1.9, -0.6]).as_matrix(), np.array([9.0, -4, 2]))
+
+
+def flight(duration_s, seed, hovers=()):
+    """Give a flight [m] as a function of time [s]: random points every 4 s, but for hovers."""
+    rng = np.random.default_rng(seed)
+    knots_s = np.arange(-8.0, duration_s + 8.1, 4.0)
+    points = np.cumsum(rng.normal(0.0, 4.0, (len(knots_s), 3)) * (1.0, 1.0, 0.3), axis=0)
+    for start_s, end_s in hovers:
+        still = (knots_s >= start_s) & (knots_s <= end_s)
+        points[still] = points[still][0] + rng.normal(0.0, 0.05, (still.sum(), 3))
+    return CubicSpline(knots_s, points)
+
+
+def both(duration_s, seed, clock, span_s, hovers=(), rate_hz=30.0, noise_m=0.02, truth_m=0.02):
+    """Give an estimate over `span_s` in its own frame, and the truth of the whole flight."""
+    rng = np.random.default_rng(seed + 1000)
+    position = flight(duration_s, seed, hovers)
+    times_s = np.arange(*span_s, 1.0 / rate_hz)
+    seen = FRAME.inverse().apply(position(times_s) + rng.normal(0.0, noise_m, (len(times_s), 3)))
+    truth_s = np.arange(0.0, duration_s, 0.2)
+    shown_s = clock.cam2_from_cam1(truth_s)
+    noisy = position(truth_s) + rng.normal(0.0, truth_m, (len(truth_s), 3))
+    return Path(times_s, seen), Path(shown_s, noisy)
+
+
+def check(found, clock, tolerance_s=0.004):
+    """Tolerance: 2 cm of noise at some 2 m/s are 10 ms a sample, of some hundred samples."""
+    got, frame = found
+    at_s = np.array([got.t_ref_s])
+    assert got.cam2_from_cam1(at_s) == pytest.approx(clock.cam2_from_cam1(at_s), abs=tolerance_s)
+    assert frame.scale == pytest.approx(FRAME.scale, rel=0.01)  # noise of 2 cm in some 10 m
+    off = Rotation.from_matrix(frame.R.T @ FRAME.R).magnitude()
+    assert np.degrees(off) < 0.5  # as the scale
+
+
+@pytest.mark.parametrize("shift_s", [0.0, -301.37, 1.7e9])
+def test_any_shift_is_found(shift_s):
+    check(best_shift(*both(120.0, 0, Clock(shift_s), (20.0, 100.0))), Clock(shift_s))
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("hovers", "span_s"),
+    [
+        ([(0.0, 120.0)], (90.0, 190.0)),  # the truth hovers where the estimate moves if shifted
+        ([(40.0, 100.0), (130.0, 300.0)], (30.0, 200.0)),  # both hover most of the time
+        ([(0.0, 60.0), (90.0, 150.0), (180.0, 300.0)], (0.0, 300.0)),
+    ],
+)
+def test_a_hover_is_no_trap(seed, hovers, span_s):
+    clock = Clock(57.3, 12.0, 0.0)
+    # What moves is a third of the samples at least as short as 30 s.
+    check(best_shift(*both(300.0, seed, clock, span_s, hovers)), clock, 0.01)
+
+
+def test_the_rate_is_found_with_its_prior_and_without_one_is_not_tried():
+    clock = Clock(-3.0, 400.0, 150.0)
+    estimate, truth = both(300.0, 5, clock, (0.0, 300.0))
+    got = best_shift(estimate, truth, rate_std_ppm=1000.0)
+    check(got, clock)
+    # 10 ms a sample, 1500 samples with deviation 87 s: 3 ppm; three deviations.
+    assert got[0].skew_ppm == pytest.approx(400.0, abs=10.0)
+    assert best_shift(estimate, truth, rate_std_ppm=0.0)[0].skew_ppm == 0.0
+
+
+def test_gross_errors_and_gaps_change_nothing_and_a_known_scale_is_kept():
+    clock = Clock(11.0)
+    estimate, truth = both(120.0, 2, clock, (10.0, 110.0))
+    rng = np.random.default_rng(9)
+    positions = estimate.positions_m.copy()
+    positions[rng.choice(len(positions), 50, replace=False)] += rng.normal(0.0, 50.0, (50, 3))
+    kept = (estimate.times_s < 40.0) | (estimate.times_s > 60.0)
+    spoilt = Path(estimate.times_s[kept], positions[kept])
+    few = rng.random(len(truth)) > 0.1
+    check(best_shift(spoilt, Path(truth.times_s[few], truth.positions_m[few])), clock, 0.01)
+    metric = replace(estimate, positions_m=FRAME.scale * estimate.positions_m)
+    got, frame = best_shift(metric, truth, with_scale=False)
+    assert frame.scale == 1.0
+    check((got, replace(frame, scale=FRAME.scale)), clock)
+
+
+def test_shifts_beyond_the_bound_are_not_taken_and_paths_at_rest_have_none():
+    clock, times_s = Clock(40.0), np.arange(0.0, 60.0, 0.2)
+    estimate, truth = both(120.0, 1, clock, (20.0, 100.0))
+    check(best_shift(estimate, truth, 60.0), clock)
+    assert abs(best_shift(estimate, truth, 20.0)[0].t_d_s) < 25.0
+    rest = Path(times_s, np.zeros((len(times_s), 3)))
+    moving = Path(times_s, flight(60.0, 0)(times_s))
+    for pair in ((rest, moving), (moving, rest)):
+        with pytest.raises(SsacError, match="no shift at which"):
+            best_shift(*pair)
+    with pytest.raises(SsacError, match="no shift within 5 s"):
+        best_shift(moving, Path(times_s + 100.0, moving.positions_m), 5.0)
+
+
+# --- Compared ---
+
+CLOCK = Clock(31.4, 20.0, 50.0)
+NOISE_M = 0.03
+
+
+def pair(noise_m=NOISE_M, span_s=(10.0, 90.0)):
+    """An estimate over `span_s`, and the truth without noise."""
+    return both(100.0, 7, CLOCK, span_s, rate_hz=20.0, noise_m=noise_m, truth_m=0.0)
+
+
+def test_the_error_is_that_of_the_noise():
+    found = compare(*pair())
+    in_time, as_shape = found.in_time, found.as_shape
+    # Every fourth sample is met on the point; 400 of three coordinates are known to 3 %, and the
+    # similarity takes 9 of 1200 degrees of freedom. Three deviations.
+    assert in_time.rmse_m == pytest.approx(np.sqrt(3.0) * NOISE_M, rel=0.09)
+    assert in_time.coverage == 1.0
+    assert len(in_time.distances_m) in (399, 400)  # the last may lie beyond the end
+    assert in_time.explained == pytest.approx(1.0, abs=1e-4)  # 5 cm in 10 m
+    assert in_time.similarity.scale == pytest.approx(FRAME.scale, rel=0.002)  # 3 cm in some 10 m
+    # The nearest point leaves the error along the path out: two of three coordinates are left.
+    assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
+
+
+def test_where_the_truth_has_no_samples_the_estimate_is_not_off_nor_the_other_way_round():
+    estimate, truth = pair()
+    kept = (np.abs(truth.times_s - 81.4) > 3.0) & (truth.times_s < 111.4)  # 50 s and 80 s of it
+    holed = Path(truth.times_s[kept], truth.positions_m[kept])
+    as_shape = compare(estimate, holed).as_shape
+    whole = estimate.times_s[(np.abs(estimate.times_s - 50.0) > 3.0) & (estimate.times_s < 80.0)]
+    # Steps of the truth, 0.2 s, on both sides of the gap and at the end.
+    assert len(as_shape.distances_m) == pytest.approx(len(whole), abs=4 * 3)
+    assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)  # as without holes
+    kept = (estimate.times_s < 30.0) | (estimate.times_s > 50.0)
+    found = compare(Path(estimate.times_s[kept], estimate.positions_m[kept]), truth)
+    assert found.in_time.coverage == pytest.approx(0.75, abs=0.01)  # 60 of 80 s
+
+
+def test_a_wrong_clock_shows_in_time_and_not_as_a_shape():
+    estimate, truth = pair(0.0)
+    late_s = 0.1 * np.sin(estimate.times_s)  # no shift nor rate explains it
+    found = compare(replace(estimate, times_s=estimate.times_s + late_s), truth)
+    assert found.in_time.rmse_m > 0.05  # 0.07 s rms at over 1 m/s
+    assert found.as_shape.rmse_m < 0.02  # what interpolation between 20 and 5 Hz leaves
+
+
+def test_a_wrong_scale_costs_where_it_is_held():
+    estimate, truth = pair(0.0)
+    metric = replace(estimate, positions_m=1.05 * FRAME.scale * estimate.positions_m)
+    assert compare(metric, truth).in_time.rmse_m < 0.02
+    held = compare(metric, truth, with_scale=False)
+    assert held.in_time.similarity.scale == held.as_shape.similarity.scale == 1.0
+    spread_m = np.sqrt(np.sum(np.var(truth.positions_m, axis=0)))
+    assert held.in_time.rmse_m == pytest.approx(0.05 * spread_m, rel=0.2)  # of 80 of the 100 s
+
+
+def test_shapes_are_compared_where_there_are_no_times():
+    estimate, truth = pair(span_s=(0.0, 99.0))
+    found = compare(replace(estimate, times_s=np.full(len(estimate), np.nan)), truth)
+    assert found.in_time is None
+    assert found.as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
+    turn = Rotation.from_matrix(found.as_shape.similarity.R.T @ FRAME.R)
+    assert np.degrees(turn.magnitude()) < 0.3
+
+
+def test_the_command_prints_and_writes_what_it_found(tmp_path):
+    args = tmp_path / "path.tum", tmp_path / "truth.csv"
+    for file, path in zip(args, pair(), strict=True):
+        write_path(file, path)
+    outputs = "--json", tmp_path / "out.json", "--plot", tmp_path / "out.png"
+    code, out, err = run("compare", *args, *outputs)
+    assert code == 0, err
+    assert "at equal times RMSE 0.05" in out
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    told = read_json(tmp_path / "out.json")
+    assert told["in_time"]["n_samples"] in (399, 400)
+    clock = Clock(*(told["in_time"][key] for key in ("shift_s", "rate_ppm", "t_ref_s")))
+    # 5 cm a sample at some 2 m/s: 25 ms, of 400.
+    np.testing.assert_allclose(clock.cam2_from_cam1(50.0), CLOCK.cam2_from_cam1(50.0), atol=0.005)
+    assert json.dumps(told["as_shape"])
+
+
+@pytest.mark.parametrize(
+    ("args", "reason"),
+    [
+        (("path.tum", "none.csv"), "no such file"),
+        (("path.tum", "rest.csv"), "no shift at which"),
+        (("path.tum", "point.csv"), "the truth has 1 points, and at least 3"),
+        (("point.csv", "truth.csv"), "the estimate has 1 points, and at least 3"),
+        (("path.tum", "truth.csv", "--json", "a.png", "--plot", "a.png"), "for two outputs"),
+        (("path.tum", "truth.csv", "--scale", "big"), "expected unknown or known"),
+        (("path.tum", "truth.csv", "--json", "truth.csv"), "would be lost"),
+        (("path.tum", "truth.csv", "--plot", "out.jpeg"), "ending in .png"),
+        (("path.tum", "truth.csv", "--lever-arm", "0", "0", "1"), "no attitude"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path, args, reason):
+    rest, point = (Path(np.arange(float(n)), np.ones((n, 3))) for n in (99, 1))
+    names = ("path.tum", "truth.csv", "rest.csv", "point.csv")
+    for name, path in zip(names, (*pair(), rest, point), strict=True):
+        write_path(tmp_path / name, path)
+    files = ".tum", ".csv", ".jpeg", ".png"
+    there = [tmp_path / arg if arg.endswith(files) else arg for arg in args]
+    code, out, err = run("compare", *there)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert reason in err
+
+
+# --- Metres and the frame of the ground ---
+
+TURN = Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix()
+SHIFT_M = np.array([100.0, -50.0, 7.0])
+GROUND = GroundRules()
+TIMES_S = np.arange(0.0, DURATION_S, 0.2)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    flight = make_flight(4)
+    return flight, solve_network(flight.seen, flight.links(), 50.0, 1.0, RULES)
+
+
+def on_ground(points_m) -> np.ndarray:
+    """Points of the first camera's frame, in a frame of the ground."""
+    return points_m @ TURN.T + SHIFT_M
+
+
+def centres_m(flight) -> np.ndarray:
+    """Where the cameras stand, in a frame of the ground."""
+    return on_ground(np.array([-R.T @ t for R, t in flight.poses]))
+
+
+def off_m(flight, answer) -> float:
+    path = answer.paths[0].path
+    true = on_ground(flight.path(path.times_s))
+    return float(np.sqrt(np.mean(np.sum((path.positions_m - true) ** 2, axis=1))))
+
+
+def write_positions(file, positions) -> None:
+    rows = [f"{k + 1},{x},{y},{z}" for k, (x, y, z) in enumerate(positions)]
+    file.write_text("\n".join(["camera,x_m,y_m,z_m", *rows]) + "\n")
+
+
+def test_positions_give_metres_and_the_frame(solved, tmp_path):
+    flight, answer = solved
+    write_positions(tmp_path / "positions.csv", centres_m(flight))
+    found = in_frame(answer, ground_of_positions(answer, tmp_path / "positions.csv", GROUND))
+    assert off_m(flight, found) < 0.05  # 9 mm of pixel noise, and what leaves the cameras off
+    for camera, true in zip(found.cameras, centres_m(flight), strict=True):
+        assert -camera.R.T @ camera.t == pytest.approx(true, abs=0.1)  # of 20 m, likewise
+    # Deviations are lengths: they grow with the scale, and no turn changes their sum of squares.
+    before = answer.paths[0].path.deviations_m
+    after = found.paths[0].path.deviations_m
+    scale = np.sqrt(np.sum(after**2) / np.sum(before**2))
+    assert scale == pytest.approx(flight.distance_m, rel=0.01)  # the unit that it was in
+
+
+def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
+    flight, answer = solved
+    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 77.7, on_ground(flight.path(TIMES_S))))
+    ground = ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
+    assert off_m(flight, in_frame(answer, ground)) < 0.05
+    assert "77.7" in ground.said
+
+
+def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
+    flight, answer = solved
+    rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
+    # It turns so that the alignment cannot take the arm.
+    yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
+    turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
+    antenna_m = on_ground(flight.path(TIMES_S)) + turns.apply(arm_m)
+    write_path(rtk, Path(TIMES_S + 5.0, antenna_m, quaternions=turns.as_quat()))
+    ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
+    assert off_m(flight, in_frame(answer, ground)) < 0.05  # as without an arm
+    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND))) > 0.1
+    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
+    with pytest.raises(SsacError, match="lever arm turns with the body"):
+        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, arm_m)
+
+
+CONTRADICT, SWAPPED = "contradict these positions, by", [1, 0, 3, 2]
+POSITIONS = [
+    (lambda centres: centres[SWAPPED] * [1.0, 3.0, 1.0], GROUND, CONTRADICT),
+    (lambda centres: centres, GroundRules(max_off_share=0.0), CONTRADICT),
+    (lambda centres: centres[:2], GROUND, "at least 3 cameras"),
+]
+
+
+def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
+    flight, answer = solved
+    for change, rules, message in POSITIONS:
+        write_positions(tmp_path / "positions.csv", change(centres_m(flight)))
+        with pytest.raises(SsacError, match=message):
+            ground_of_positions(answer, tmp_path / "positions.csv", rules)
+    other = np.random.default_rng(0).normal(size=(len(TIMES_S), 3))
+    strict = GroundRules(least_explained=1.1)
+    for path_m, rules, message in (
+        (other, GROUND, "flight"),
+        (flight.path(TIMES_S), strict, "explains 100 % of its motion only"),
+    ):
+        write_path(tmp_path / "rtk.csv", Path(TIMES_S, path_m))
+        with pytest.raises(SsacError, match=message):
+            ground_of_rtk(answer, tmp_path / "rtk.csv", rules)

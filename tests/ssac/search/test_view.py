@@ -1,0 +1,186 @@
+"""What cameras do to views: when events are lost to frames, and rows are read out one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ssac import joint, two_views
+from ssac.camera import READOUT_STD_S, Camera, Rig, with_deviations
+from ssac.config import Config
+from ssac.rules import BlindRules
+from ssac.search import view
+from ssac.search.two_views import shutters_of
+from ssac.track.observation import tracked
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
+from tests.ssac.tracks import FPS, frame_tracks
+
+DURATION_US = 6_000_000
+
+
+def blind_spans(times_us):
+    return view.blind_spans(times_us, BlindRules())
+
+
+def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):
+    """Times [us] of an object that swings: events come by its speed, and none where it turns."""
+    rng = np.random.default_rng(seed)
+    times_us = np.sort(rng.integers(0, DURATION_US, int(rate_hz * 1e-6 * DURATION_US)))
+    speed = np.abs(np.cos(2.0 * np.pi * swing_hz * 1e-6 * times_us))
+    return times_us[rng.random(len(times_us)) < speed]
+
+
+def without_frames(times_us, rate_hz, gap_us, phase_us=3_000):
+    """Lose the events of each readout, and say when these begin."""
+    starts_us = np.arange(phase_us, DURATION_US, 1e6 / rate_hz)
+    since_us = times_us - starts_us[np.searchsorted(starts_us[1:], times_us, side="right")]
+    return times_us[(since_us < 0.0) | (since_us >= gap_us)], starts_us
+
+
+def hidden(times_us, spans_us):
+    """Lose the events of some spans."""
+    for from_us, to_us in spans_us:
+        times_us = times_us[(times_us < from_us) | (times_us > to_us)]
+    return times_us
+
+
+def assert_found(times_us, starts_us, rate_hz, gap_us, within_us):
+    spans_us = blind_spans(times_us)
+    periods_us = np.diff(spans_us[:, 0])
+    assert np.median(periods_us) == pytest.approx(1e6 / rate_hz, rel=1e-2)  # events are some us off
+    # Where the object is all but at rest at an end of the recording, nothing tells of one.
+    assert len(starts_us) - 6 <= len(spans_us) <= len(starts_us)
+    nearest = np.abs(spans_us[:, 0, None] - starts_us).min(axis=1)
+    # The last event before a readout is a few event times early; 0.5 ms are 25 at full speed.
+    assert np.median(nearest) < 500.0
+    assert np.median(np.diff(spans_us)) == pytest.approx(gap_us, abs=within_us)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "gap_us"),
+    [(10.0, 25_000), (25.0, 10_000), (20.0, 5_000), (40.0, 8_000), (50.0, 5_000)],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_readouts_are_found(rate_hz, gap_us, seed):
+    assert_found(*without_frames(busy_times(seed), rate_hz, gap_us), rate_hz, gap_us, 1_000.0)
+
+
+def test_readouts_are_found_among_silences_of_the_object_itself():
+    """Between volleys, one for each row of pixels that an edge crosses, it may be silent too."""
+    times_us, starts_us = without_frames(busy_times(8), 25.0, 6_000)
+    silent_us = np.random.default_rng(8).integers(0, DURATION_US, 70)  # half as many as readouts
+    times_us = hidden(times_us, [(from_us, from_us + 3_500) for from_us in silent_us])
+    assert_found(times_us, starts_us, 25.0, 6_000, 500.0)
+
+
+@pytest.mark.parametrize("noise_hz", [3_000, 30_000])
+def test_readouts_are_found_among_noise(noise_hz):
+    """A blind sensor has no noise either."""
+    n = noise_hz * DURATION_US // 1_000_000
+    noise_us = np.random.default_rng(7).integers(0, DURATION_US, n)
+    noisy_us = np.sort(np.append(busy_times(7), noise_us))
+    assert_found(*without_frames(noisy_us, 25.0, 10_000), 25.0, 10_000, 1_000.0)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 300.0, 3_000.0, 50_000.0, 500_000.0])
+def test_a_camera_without_frames_is_never_blind(rate_hz):
+    assert len(blind_spans(busy_times(3, rate_hz))) == 0
+
+
+@pytest.mark.parametrize("events", [20, 100, 400])
+@pytest.mark.parametrize("swing", [0.0, 0.5])
+def test_edges_that_cross_rows_at_once_are_no_readouts(events, swing):
+    """A small object's events come in volleys, one for each row of pixels that its edge crosses."""
+    time_s = np.arange(0.0, 1e-6 * DURATION_US, 1e-4)
+    rows = np.cumsum(1e-4 * 80.0 * (1.0 + swing * np.sin(2.0 * np.pi * 0.7 * time_s)))
+    crossings_us = 1e6 * np.interp(np.arange(1.0, rows[-1]), rows, time_s)
+    late_us = np.random.default_rng(4).uniform(0.0, 3_000.0, (len(crossings_us), events))
+    volleys = np.rint((crossings_us[:, None] + late_us).ravel())
+    assert len(blind_spans(np.sort(volleys.astype(np.int64)))) == 0
+
+
+def test_an_object_that_is_hidden_now_and_then_is_not_blindness():
+    rng = np.random.default_rng(6)
+    spans_us = [(at, at + rng.integers(3_000, 30_000)) for at in rng.integers(0, DURATION_US, 60)]
+    assert len(blind_spans(hidden(busy_times(5), spans_us))) == 0
+
+
+# --- Rolling shutters ---
+
+T_D_S = 0.1
+CONFIG = Config(interval_s=(-0.2, 0.4))
+WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
+CAMERA = with_deviations(Camera(K, WIDTH, HEIGHT))
+UNKNOWN = replace(CAMERA, readout_std_s=READOUT_STD_S)
+
+
+def flight(seed, readouts_s):
+    seeds = 2 * seed, 2 * seed + 1
+    return [*map(tracked, frame_tracks(make_scene(seed), T_D_S, 1.0, readouts_s, seeds))]
+
+
+@pytest.mark.parametrize(
+    ("seed", "readouts_s"), [(1, (0.020, 0.005)), (5, (0.007, 0.028)), (4, (0.0, 0.0))]
+)
+def test_readouts_are_found_beside_the_offset(seed, readouts_s):
+    cameras = flight(seed, readouts_s)
+    found = joint(*cameras, Rig(UNKNOWN, UNKNOWN), CONFIG)
+    assert found.status == "ok"
+    assert abs(found.t_d_s - T_D_S) < WIDE * found.t_d_std_s
+    assert found.t_d_std_s < 2e-3  # of two readouts unknown by 15 ms, of which half would be left
+    assert np.all(np.abs(found.readouts_s - readouts_s) < WIDE * found.readouts_std_s)
+    assert np.all(found.readouts_std_s < 0.5 * READOUT_STD_S)  # so the tracks tell, not the prior
+    assert np.all(found.readouts_s >= 0.0)
+    if max(readouts_s) > 0.0:
+        plain = joint(*cameras, Rig(CAMERA, CAMERA), CONFIG)
+        assert abs(plain.t_d_s - T_D_S) > WIDE * plain.t_d_std_s
+        assert np.isnan(plain.readouts_s).all()
+
+
+def test_images_move_as_the_readout_says():
+    # A lens whose rows are up to some 10 px from the ideal ones: the shutter reads the former.
+    distorted = {"distortion_model": "radtan", "distortion_coeffs": (-0.3, 0.1, 0.001, -0.001)}
+    lens = replace(UNKNOWN, **distorted)
+    views = two_views(*flight(2, (0.01, 0.02)), Rig(lens, lens), CONFIG)
+    shutters = shutters_of(views)
+    readouts_s, step_s = np.array([0.012, 0.017]), 1e-4
+    times_s = (np.linspace(3.0, 17.0, 80),) * 2
+
+    def positions(readouts_s):
+        seen = shutters.views(views, readouts_s)
+        tracks = seen.motion1.sharp_at(times_s[0]), seen.motion2.sharp_at(times_s[1])
+        return np.stack([track.positions_px for track in tracks])
+
+    read_out = shutters.views(views, readouts_s)
+    moves = shutters.moves(read_out, times_s)
+    for k, motion in enumerate((read_out.motion1, read_out.motion2)):
+        # A row is read out later by its share of the readout: that of the image as it is. Noise of
+        # 0.3 px is smoothed, and points 30 ms apart on a curve are a pixel off its chords.
+        rows = np.interp(times_s[k], motion.times_s, motion.rows)
+        moved = -rows[:, None] * motion.sharp_at(times_s[k]).velocities_px_s
+        off = np.linalg.norm(moves[k][k] - moved, axis=1) / np.linalg.norm(moved, axis=1)
+        assert np.nanmedian(off) < 2e-3  # 0.01 of ideal rows
+    for k, by_readout in enumerate(moves):
+        step = step_s * np.eye(2)[k]
+        numeric = (positions(readouts_s + step) - positions(readouts_s - step)) / (2.0 * step_s)
+        errors = np.linalg.norm(np.stack(by_readout) - numeric, axis=2)
+        # Windows are of whole points, which enter and leave: the curve through noise of 0.3 px has
+        # velocities to some 10 px/s, of 200.
+        assert np.nanmedian(errors) < 10.0
+        assert np.nanmedian(np.linalg.norm(numeric[k], axis=1)) > 50.0
+        assert np.all(by_readout[1 - k] == 0.0)
+
+
+def test_only_what_is_not_known_is_estimated_and_lies_between_none_and_a_frame():
+    cameras = flight(2, (0.0, 0.0))
+    views = two_views(*cameras, Rig(UNKNOWN, UNKNOWN), CONFIG)
+    shutters = shutters_of(views)
+    np.testing.assert_allclose(shutters.within(np.array([-0.01, 1.0])), [0.0, 1.0 / FPS[1]])
+    read_out = shutters.views(views, np.array([0.02, 0.03]))
+    np.testing.assert_allclose(shutters_of(read_out).longest_s, shutters.longest_s)  # of frames
+    known = replace(CAMERA, readout_s=0.012)
+    assert shutters_of(two_views(*cameras, Rig(known, UNKNOWN), CONFIG)).cameras == (1,)
+    views = two_views(*cameras, Rig(known, CAMERA), CONFIG)
+    shutters = shutters_of(views)
+    assert shutters.cameras == ()
+    assert shutters.views(views, np.empty(0)) is views

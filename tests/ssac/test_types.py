@@ -1,0 +1,450 @@
+"""What all stages share: events, cameras, clocks, estimates, and rules."""
+
+import ast
+import json
+import pickle
+from dataclasses import fields, is_dataclass, replace
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssac
+from experiments.lab.grid import configs_of
+from ssac import Chain, Config, Observation
+from ssac.camera import (
+    MAX_ROUND_TRIP_PX,
+    Camera,
+    check_camera,
+    distort_points,
+    undistort_points,
+    undistortion_map,
+)
+from ssac.clock import Clock
+from ssac.config import checked
+from ssac.errors import SsacError
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status, first
+from ssac.events import (
+    EVENT_DTYPE,
+    check_events,
+    copied,
+    events_from_arrays,
+    slice_time,
+    time_quantum_s,
+)
+from ssac.rules import Rules
+from tests.ssac.synthetic import make_events, make_scene
+
+
+def _events(t):
+    n = len(t)
+    return events_from_arrays(t, np.arange(n) % 10, np.arange(n) % 7, np.arange(n) % 2)
+
+
+def test_events_from_arrays_keeps_every_value():
+    t = [-5, 0, 2**62]
+    events = events_from_arrays(t, [0, 1, 65535], [3, 4, 5], [0, 1, 1])
+    assert events.dtype == EVENT_DTYPE
+    assert events.tolist() == [(-5, 0, 3, 0), (0, 1, 4, 1), (2**62, 65535, 5, 1)]
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int64, bool])
+def test_polarity_of_minus_one_becomes_zero_and_arguments_stay(dtype):
+    p = np.array([0 if dtype is bool else -1, 1], dtype=dtype)
+    before = p.tolist()
+    assert events_from_arrays([0, 1], [0, 0], [0, 0], p)["p"].tolist() == [0, 1]
+    assert p.tolist() == before
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_copied_events_are_the_same_and_their_own(step):
+    events = _events(np.arange(20))[::step]
+    copy = copied(events)
+    assert copy.dtype == EVENT_DTYPE
+    assert np.array_equal(copy, events)
+    assert not np.shares_memory(copy, events)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (([0, 1], [0, 1], [0], [0, 1]), r"cam1\.h5: t, x, y and p must be of one length"),
+        (([0.1], [0], [0], [0]), r"t must hold whole numbers \(t in microseconds\)"),
+        (([0], [-1], [0], [0]), "x must lie in 0 to 65535"),
+        (([0], [65536], [0], [0]), "x must lie in 0 to 65535"),
+    ],
+)
+def test_arrays_that_make_no_events_are_refused(columns, message):
+    with pytest.raises(SsacError, match=message):
+        events_from_arrays(*columns, name="cam1.h5")
+
+
+UNUSABLE = [
+    (lambda e: e[:0], "camera 1: there are no events"),
+    (lambda e: e[::-1], "event 1 is at 2 us, after one at 3 us: sort the file"),
+    (lambda e: e.astype([("t", "<f8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")]), "1-D array"),
+    (lambda e: e.reshape(2, 2), "1-D array of"),
+    (lambda e: _with(e, "x", 10), "sensor is 10 x 7 px, .* at x = 10"),
+    (lambda e: _with(e, "y", 7), "sensor is 10 x 7 px, .* at y = 7"),
+    (lambda e: _with(e, "p", 2), "polarity must be 0 or 1, got 2"),
+    (
+        lambda e: _with(_with(e, "t", 3), "t", 2**24 - 5, 2),
+        r"begins anew at event 3, .* 24 bits .*; do not sort",
+    ),
+]
+
+
+def _with(events, field, value, at=3):
+    other = events.copy()
+    other[field][at] = value
+    return other
+
+
+@pytest.mark.parametrize(("change", "message"), UNUSABLE)
+def test_unusable_events_are_refused(change, message):
+    events = _events([0, 1, 2, 3])
+    check_events(events, 10, 7, "camera 1")
+    check_events(events, None, None, "camera 1")
+    with pytest.raises(SsacError, match=message):
+        check_events(change(events), 10, 7, "camera 1")
+
+
+def test_consecutive_slices_make_the_whole_and_are_views():
+    t = np.sort(np.random.default_rng(0).integers(0, 1000, 500))
+    events = _events(t)
+    edges = [-10, 0, 17, 17, 500, 999, 1000, 2000]
+    slices = [slice_time(events, a, b) for a, b in pairwise(edges)]
+    for part, (start, end) in zip(slices, pairwise(edges), strict=True):
+        assert np.all((part["t"] >= start) & (part["t"] < end))
+    np.testing.assert_array_equal(np.concatenate(slices), events)
+    assert np.shares_memory(slices[3], events)
+
+
+EVEN = np.arange(0, 3, 1 / 30)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "quantum_s"),
+    [
+        (np.floor(EVEN * 1e3) / 1e3, 0.001),
+        (np.floor(EVEN * 1e2) / 1e2, 0.010),
+        (np.floor(np.sort(np.random.default_rng(0).random(500)) * 1e3) / 1e3, 0.001),
+        (np.arange(0, 3, 1 / 25), 0.0),  # whole milliseconds by the frame rate
+        (EVEN, 0.0),
+        (np.arange(5.0), 0.0),  # too few to tell
+    ],
+)
+def test_times_that_were_cut_off_are_told_from_even_ones(times_s, quantum_s):
+    assert time_quantum_s(times_s) == quantum_s
+
+
+# --- Cameras ---
+
+K = np.array([[200.0, 0.0, 173.0], [0.0, 210.0, 130.0], [0.0, 0.0, 1.0]])
+LENSES = [
+    ("none", ()),
+    ("radtan", (-0.3, 0.1, 1e-3, -5e-4)),
+    ("radtan", (0.2, 0.1, -1e-3, 1e-3)),
+    ("radtan", (-0.3, 0.1, 1e-3, -5e-4, -0.01)),
+    ("equidistant", (-0.05, 0.02, -0.01, 0.003)),
+    ("equidistant", (0.0, 0.0, 0.0, 0.0)),
+]
+POINTS = np.random.default_rng(0).uniform((0, 0), (345, 259), (500, 2))
+
+
+def _camera(model="none", coeffs=()):
+    return Camera(K, 346, 260, model, coeffs)
+
+
+@pytest.mark.parametrize(("model", "coeffs"), LENSES)
+def test_distorting_undoes_undistorting_and_the_other_way_round(model, coeffs):
+    camera, points = _camera(model, coeffs), POINTS.copy()
+    there_and_back = distort_points(camera, undistort_points(camera, points))
+    # These lenses are invertible over the whole sensor.
+    np.testing.assert_allclose(there_and_back, POINTS, rtol=0, atol=MAX_ROUND_TRIP_PX)
+    back_and_there = undistort_points(camera, distort_points(camera, points))
+    # The inverse magnifies the round trip's error by no more than 10 for these lenses.
+    np.testing.assert_allclose(back_and_there, POINTS, rtol=0, atol=10 * MAX_ROUND_TRIP_PX)
+    np.testing.assert_array_equal(points, POINTS)  # as they were given
+    if model == "none":
+        np.testing.assert_array_equal(undistort_points(camera, points), POINTS)
+        np.testing.assert_array_equal(distort_points(camera, points), POINTS)
+    for change in (undistort_points, distort_points):
+        assert change(camera, np.empty((0, 2))).shape == (0, 2)
+
+
+def _kalibr_radtan(x, y, k1, k2, p1, p2):
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
+        y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
+    )
+
+
+def _kalibr_equidistant(x, y, k1, k2, k3, k4):
+    r = np.hypot(x, y)
+    theta = np.arctan(r)
+    theta_d = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+    return x * theta_d / r, y * theta_d / r
+
+
+@pytest.mark.parametrize(("lens", "formula"), [(1, _kalibr_radtan), (4, _kalibr_equidistant)])
+def test_the_models_are_kalibrs(lens, formula):
+    x, y = ((POINTS - K[:2, 2]) / (K[0, 0], K[1, 1])).T
+    expected = np.column_stack(formula(x, y, *LENSES[lens][1])) * (K[0, 0], K[1, 1]) + K[:2, 2]
+    measured = distort_points(_camera(*LENSES[lens]), POINTS)
+    # The same formula in another order of operations.
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("model", "coeffs"), LENSES)
+def test_the_principal_point_and_the_map_agree_with_the_points(model, coeffs):
+    camera = _camera(model, coeffs)
+    table = undistortion_map(camera)
+    assert table.shape == (260, 346, 2)
+    pixels = np.array([[0.0, 0.0], [345.0, 259.0], [10.0, 200.0]])
+    looked_up = table[pixels[:, 1].astype(int), pixels[:, 0].astype(int)]
+    np.testing.assert_array_equal(looked_up, undistort_points(camera, pixels))
+    # The optical axis is where it is, whatever the radial distortion (p1, p2 vanish there too).
+    np.testing.assert_allclose(table[130, 173], (173, 130), rtol=0, atol=MAX_ROUND_TRIP_PX)
+
+
+def test_points_that_no_ray_reaches_are_nan():
+    # r (1 - 0.4 r^2) is at most 0.609, so nothing reaches the sensor's corners at r = 1.06.
+    table = undistortion_map(_camera("radtan", (-0.4, 0.0, 0.0, 0.0)))
+    assert np.isnan(table[[0, 0, -1, -1], [0, -1, 0, -1]]).all()
+    assert np.isfinite(table[80:180, 123:223]).all()
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (Camera(np.eye(2), 346, 260), "cam0: K must be a finite 3x3 matrix"),
+        (Camera(np.where(K == 173, np.nan, K), 346, 260), "K must be a finite 3x3 matrix"),
+        (Camera(np.diag([-200.0, 200.0, 1.0]), 346, 260), "focal lengths must be positive"),
+        (Camera(K + np.eye(3, k=1), 346, 260), "without skew"),
+        (Camera("nonsense", 346, 260), "K must be a finite 3x3 matrix"),
+        (Camera(K, 0, 260), "at least 1 x 1 px and at most 200000000 pixels, got 0 x 260"),
+        (Camera(K, None, 260), "the resolution must be at least 1 x 1 px .* got None x 260"),
+        (_camera(["radtan"]), "unknown distortion model"),
+        (_camera("none", "abcd"), "the distortion model 'none' needs 0 finite"),
+        (Camera(K, 346, 260, intrinsics_std_px="abcd"), "intrinsics_std must be 4 deviations"),
+        (Camera(K, 346, 260, readout_s="a"), "the readout must take 0 to 0.2 s"),
+        (Camera(K, 346, 260, readout_std_s=None), "the readout must take 0 to 0.2 s"),
+        (_camera("fov", (0.9,)), "unknown distortion model 'fov': use one of none, radtan"),
+        (_camera("radtan", (0.1,)), "'radtan' needs 4 or 5 or 8 finite coefficients"),
+        (_camera("equidistant", (0, 0, 0, np.nan)), "'equidistant' needs 4 finite coefficients"),
+        (_camera("none", (0.1,)), "'none' needs 0 finite coefficients"),
+        (Camera(K, 346, 260, readout_s=-0.01), "must take 0 to 0.2 s, .* got -0.01 s and 0.0 s"),
+        (Camera(K, 346, 260, readout_s=np.nan), "got nan s"),
+        (Camera(K, 346, 260, readout_std_s=-1.0), "got None s and -1.0 s"),
+    ],
+)
+def test_unusable_cameras_and_points_are_refused(camera, message):
+    with pytest.raises(SsacError, match=message):
+        check_camera(camera, "cam0")
+    with pytest.raises(SsacError, match=r"shape \(N, 2\), got \(2,\)"):
+        undistort_points(_camera(), np.zeros(2))
+
+
+# --- Clocks ---
+
+TIMES_S = np.linspace(-50.0, 150.0, 1001)
+KNOTS_S = np.arange(0.0, 101.0, 5.0)
+CLOCKS = {
+    "the same": Clock(),
+    "delay": Clock(-0.7),
+    "skew": Clock(0.05, 1000.0, 41.0),
+    "fast by a half": Clock(12.0, 5e5, -3.0),
+    "pieces": Clock(0.05, -300.0, 41.0, KNOTS_S, 0.02 * np.sin(KNOTS_S / 9.0)),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS.values(), ids=CLOCKS)
+def test_times_come_back_and_swapped_cameras_have_the_inverse_clock(clock):
+    shown_s, back_s = clock.cam2_from_cam1(TIMES_S), clock.cam1_from_cam2(TIMES_S)
+    inverse = clock.inverse()
+    for found_s, expected_s in (
+        (clock.cam1_from_cam2(shown_s), TIMES_S),
+        (clock.cam2_from_cam1(back_s), TIMES_S),
+        (inverse.cam2_from_cam1(TIMES_S), back_s),
+        (inverse.cam1_from_cam2(TIMES_S), shown_s),
+    ):
+        # Rounding at 150 s.
+        np.testing.assert_allclose(found_s, expected_s, rtol=0, atol=2e-13)
+
+
+def test_a_clock_is_what_it_says():
+    delay, skew = Clock(0.0123), CLOCKS["skew"]
+    np.testing.assert_array_equal(delay.cam2_from_cam1(TIMES_S), TIMES_S + 0.0123)
+    np.testing.assert_array_equal(delay.cam1_from_cam2(TIMES_S), TIMES_S - 0.0123)
+    assert skew.cam2_from_cam1(41.0) == 41.05  # the offset holds at the reference
+    assert skew.cam2_from_cam1(51.0) == pytest.approx(51.06, abs=1e-12)  # 1000 ppm of 10 s
+    strays = Clock(0.0, 0.0, 0.0, np.array([0.0, 10.0]), np.array([0.001, 0.003]))
+    added_s = strays.added_s(np.array([-5.0, 0.0, 5.0, 10.0, 20.0]))
+    np.testing.assert_allclose(added_s, [0.001, 0.001, 0.002, 0.003, 0.003])
+
+
+# --- Estimates ---
+
+BY_STAGE = (
+    ("one object", "several_objects"),
+    ("signals", "no_common_signal"),
+    ("views", "no_motion", "no_common_time", "too_few_samples"),
+    ("search", "search_bound", "too_little_motion"),
+    ("refine", "no_convergence", "clock_jump"),
+    ("verdict", "no_match", "poor_fit", "ambiguous_offset", "degenerate_pose", "ambiguous_pose"),
+)  # fmt: skip
+"""The stage that is the last to give a status, or the only one."""
+
+
+def test_a_status_is_its_word_with_a_sentence_in_the_order_of_the_stages():
+    assert Status.OK == "ok"
+    assert f"{Status.NO_MATCH}" == str(Status.NO_MATCH) == "no_match"
+    assert json.dumps([Status.NO_MATCH]) == '["no_match"]'
+    assert {"no_match": 1}[Status.NO_MATCH] == 1
+    assert pickle.loads(pickle.dumps(Status.NO_MATCH)) is Status.NO_MATCH
+    assert len({status.meaning for status in Status}) == len(Status)
+    for status in Status:
+        assert status.value == status.name.lower()
+        assert len(status.meaning.split()) > 4
+    assert ["ok", *(status for _, *given in BY_STAGE for status in given)] == list(Status)
+    assert all(Status.OK not in settled for settled in SETTLED_BY.values())
+
+
+def test_the_first_of_several_refusals_is_that_of_the_earliest_stage():
+    for earlier, later in combinations(Status, 2):
+        one, other = Refusal(earlier, "one"), Refusal(later, "other")
+        assert first(one, other) is first(other, None, one) is one
+    one, other = Refusal(Status.NO_MATCH, "one"), Refusal(Status.NO_MATCH, "other")
+    assert first(one, other) is one
+    assert first() is first(None, None) is None
+
+
+def test_a_word_of_ours_becomes_its_status_and_another_stays():
+    assert Estimate("mine", "no_match").status is Status.NO_MATCH
+    assert Estimate("mine").status is Status.OK
+    own = Estimate("mine", "too_dark", "the sun had set", t_d_s=0.1)
+    assert (own.status, own.has_offset) == ("too_dark", False)
+    for status in Status:  # an offset holds where no more than the pose is open
+        holds = status == Status.OK or status in POSE_IS_OPEN
+        assert Estimate("mine", status, t_d_s=0.1).has_offset == holds
+        assert not Estimate("mine", status).has_offset
+
+
+def test_deviations_of_the_pose_are_roots_of_summed_variances():
+    covariance = np.diag(np.deg2rad([9.0, 1.0, 2.0, 2.0, 3.0, 4.0]) ** 2)
+    estimate = Estimate("mine", covariance=covariance)
+    assert (estimate.r_std_deg, estimate.t_std_deg) == pytest.approx((3.0, 5.0))
+    assert np.isnan([Estimate("mine").r_std_deg, Estimate("mine").t_std_deg]).all()
+
+
+def test_a_delay_moves_all_offsets_of_an_estimate():
+    start = Estimate("search", t_d_s=0.1, candidates_s=np.array([0.0, 0.1]))
+    others_s = np.array([0.4])
+    estimate = Estimate("mine", t_d_s=0.11, t_d_std_s=0.02, alternatives_s=others_s, start=start)
+    delayed = estimate.delayed(0.5)
+    assert (delayed.t_d_s, delayed.start.t_d_s) == pytest.approx((0.61, 0.6))
+    assert delayed.t_d_std_s == 0.02
+    assert delayed.alternatives_s == pytest.approx([0.9])
+    assert delayed.start.candidates_s == pytest.approx([0.5, 0.6])
+    assert np.isnan(Estimate("mine").delayed(0.5).t_d_s)
+
+
+# --- Rules ---
+
+
+def rules_of(group, prefix=""):
+    """Names and values of all rules, dotted."""
+    for one in fields(group):
+        value = getattr(group, one.name)
+        if is_dataclass(value):
+            yield from rules_of(value, f"{prefix}{one.name}.")
+        else:
+            yield f"{prefix}{one.name}", value
+
+
+RULES = dict(rules_of(Rules()))
+
+
+def other(value):
+    """Another value of the same type."""
+    if isinstance(value, tuple):
+        return tuple(map(other, value))
+    return not value if isinstance(value, bool) else value + 1
+
+
+def changed(group, name, value):
+    """A group of rules, one of which, by its dotted name, is another."""
+    part, _, rest = name.partition(".")
+    return replace(group, **{part: changed(getattr(group, part), rest, value) if rest else value})
+
+
+def with_rule(name, value):
+    return Config(rules=changed(Rules(), name, value), interval_s=(-0.2, 0.2))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    scene = make_scene(seed=1, duration_s=6.0)
+    cameras = [Observation(one) for one in make_events(scene, 1, 0.05, size_m=0.4)]
+    return Chain(cameras, scene.rig, Config(interval_s=(-0.2, 0.2)))
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_a_sweep_sets_a_rule_by_its_dotted_name_and_one_that_makes_no_sense_is_named(name):
+    value = RULES[name]
+    _, config = configs_of({f"ssac.rules.{name}": other(value)})
+    assert checked(config).rules == with_rule(name, other(value)).rules != Rules()
+    assert hash(config) != hash(Config())  # what was found under other rules is not taken for it
+    for wrong in (None, "many", [value], *(() if isinstance(value, bool) else (np.nan, True))):
+        if isinstance(value, tuple) and not isinstance(wrong, list):
+            wrong = (wrong, *value[1:])
+        with pytest.raises(SsacError, match=rf"rules\.{name}(\[0\])?: expected [^\n]*$"):
+            checked(with_rule(name, wrong))
+
+
+def test_rules_of_another_kind_are_refused_and_any_number_is_taken():
+    for wrong in (None, Config(), Rules().verdict, {}):
+        with pytest.raises(SsacError, match=r"rules: expected a ssac\.rules\.Rules"):
+            checked(Config(rules=wrong))
+    with pytest.raises(SsacError, match=r"rules\.verdict: expected VerdictRules"):
+        checked(Config(rules=Rules(verdict=None)))
+    for value in (np.float64(0.5), np.int64(1), 1):
+        checked(with_rule("verdict.max_spread", value))
+
+
+def test_a_stage_has_no_rules_but_those_of_its_config():
+    """Nothing but the config makes rules, and each of them is read somewhere."""
+    made, read = set(), set()
+    for path in Path(ssac.__file__).parent.rglob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        read |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+        called = [node.func for node in nodes if isinstance(node, ast.Call)]
+        if any(isinstance(one, ast.Name) and one.id.endswith("Rules") for one in called):
+            made.add(path.name)
+    # Functions that people call without a config: of two paths, and of a faint object.
+    assert made == {"rules.py", "align.py", "faint.py"}
+    assert {name.rpartition(".")[2] for name in RULES} <= read
+
+
+OTHERS = (
+    ("noise.ball_px", 4.0, "ssac"),
+    ("search.rival", 1e9, "ssac"),
+    ("view.even_share", 1.5, "ssac"),
+    ("fit.least_curvature", 50.0, "joint"),
+    ("joint.bias_slope", 0.4, "joint"),
+    ("verdict.max_t_d_std_s", 1e-6, "tangency"),
+    ("tangency.outline.rank", 4, "tangency"),
+    ("albl.inlier_px", 0.5, "albl"),
+    ("signals.zncc_bin_s", 0.02, "zncc_e"),
+)
+
+
+@pytest.mark.parametrize(("rule", "value", "method"), OTHERS)
+def test_what_was_found_by_other_rules_is_not_given(rule, value, method, chain):
+    """Of one chain, whose memory the answers share."""
+    by_others = chain.under(with_rule(rule, value)).estimate(method)
+    assert repr(by_others) != repr(chain.estimate(method))
