@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import gmean
 
-from experiments.drawing.style import Figure
+from experiments.drawing import of_errors
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
 from experiments.lab.files import read_table
@@ -89,14 +89,6 @@ def page(results: Results) -> str:
     runs = runs_of(results)
     (made_with,) = results.provenances("runs")
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
-
-
-def figure(runs: pd.DataFrame, name: str) -> Figure:
-    """Draw errors against the angle, beside the paper's: of all methods, or of ours beyond it."""
-    from experiments.drawing import errors
-
-    drawn: Figure = getattr(errors, name)(runs, compared.load_published())
-    return drawn
 
 
 def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
@@ -245,9 +237,9 @@ STUDIES = (
             Made("comparison.csv", comparison),
             Made("comparison_summary.csv", lambda of: compared.summary_table(comparison(of))),
             Made("README.md", page),
-            made_of_runs("error_vs_angle.png", partial(figure, name="error_figure")),
-            made_of_runs("beyond_paper.png", partial(figure, name="beyond_figure")),
-            made_of_runs("success.png", partial(figure, name="success_figure")),
+            made_of_runs("error_vs_angle.png", of_errors("error_figure", compared.load_published)),
+            made_of_runs("beyond_paper.png", of_errors("beyond_figure", compared.load_published)),
+            made_of_runs("success.png", of_errors("success_figure")),
         ),
         numbers=NUMBERS,
         checks=CHECKS,
