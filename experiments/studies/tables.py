@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import gmean
 
 from experiments.drawing import of_errors
 from experiments.lab.cell import CRASHED
@@ -153,17 +152,10 @@ def paper_size(results: Results) -> str:
     return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
 
 
-def ratio(results: Results, quantity: str, duration_s: float) -> str:
-    """Ours over the paper's, of the geometric means over the cells of one table."""
-    of = {"quantity": quantity, "duration_s": duration_s}
-    ours = results.column("comparison", "ours_mean", **of)
-    return f"{gmean(ours) / gmean(results.column('comparison', 'published_mean', **of)):.2f}"
-
-
-def ratio_interval(results: Results, quantity: str, duration_s: float) -> str:
-    """Say between which ratios `ratio` lies with 95 %."""
+def ratio(results: Results, form: str, quantity: str, duration_s: float) -> str:
+    """Ours over the paper's, of geometric means over the cells of a table, or its interval."""
     row = results.one("comparison_summary", quantity=quantity, duration_s=duration_s)
-    return f"{row['ratio'] / row['factor']:.2f} to {row['ratio'] * row['factor']:.2f}"
+    return form.format(**row, low=row["ratio"] / row["factor"], high=row["ratio"] * row["factor"])
 
 
 def cell_means(results: Results, method: str, error: str) -> list[float]:
@@ -210,8 +202,8 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
     "paper.size": paper_size,
     **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
     **{
-        f"paper.{what}.{q}.{d:g}": partial(function, quantity=PUBLISHED[q], duration_s=d)
-        for what, function in (("ratio", ratio), ("interval", ratio_interval))
+        f"paper.{what}.{q}.{d:g}": partial(ratio, form=form, quantity=PUBLISHED[q], duration_s=d)
+        for what, form in (("ratio", "{ratio:.2f}"), ("interval", "{low:.2f} to {high:.2f}"))
         for q in ("ssac.t_d", "ssac.R", "ssac.t")
         for d in DURATIONS_S
     },
