@@ -54,7 +54,7 @@ CHAPTERS = {
     "Reproduce": "docs/results results/README docs/physical docs/outdoor docs/real docs/speed",
     "Extend": f"docs/simulate docs/sensor docs/methods docs/sweeps docs/testing CONTRIBUTING"
     f" {API}/ssac {API}/index",
-    "Understand": "docs/tangency docs/zncc docs/architecture",
+    "Understand": "docs/tangency docs/architecture",
 }
 """The navigation, by reader. It hangs from the README, where only Sphinx shall see it."""
 

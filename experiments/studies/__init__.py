@@ -14,7 +14,6 @@ FILES = (
     "imperfect",
     "requirements",
     "tangency",
-    "zncc",
     "fidelity",
     "ablations",
     "spread",

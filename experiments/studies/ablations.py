@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from experiments.drawing import of_errors
 from experiments.drawing.style import Figure, legend_below, mark_survivors, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.results import Results
@@ -73,15 +74,9 @@ _NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
 def ablation_study(grid: GridConfig, command: str = "") -> Study:
     """Make the study of a grid that shows mean errors, drawn if its TOML says how."""
     name, runs = grid.name, f"{grid.name}_runs"
-
-    def figure(table: pd.DataFrame) -> Figure:
-        from experiments.drawing.errors import ablation_figure
-
-        return ablation_figure(table, grid)
-
     makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
     if grid.figure is not None:
-        makes.append(made_of(f"{name}.png", figure, name))
+        makes.append(made_of(f"{name}.png", of_errors("ablation_figure", lambda: grid), name))
     return Study(
         name, grid.title, grid.cells, SCORED,
         Runs(f"{runs}.csv", (*grid.varied, "flight", "method")), tuple(makes),

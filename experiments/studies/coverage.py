@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import beta, chi2
+from scipy.stats import binomtest, chi2
 
 from experiments.drawing.style import Axes, Figure, legend_below, method_looks, panels
 from experiments.lab.grid import named_config
@@ -99,10 +99,8 @@ def confidence(normalised: Array, parameters: int) -> Array:
 
 def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
     """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
-    tail = 0.5 * (1.0 - SAMPLING)
-    low = beta.ppf(tail, n_inside, n_runs - n_inside + 1) if n_inside > 0 else 0.0
-    high = beta.ppf(1.0 - tail, n_inside + 1, n_runs - n_inside) if n_inside < n_runs else 1.0
-    return float(low), float(high)
+    bounds = binomtest(n_inside, n_runs).proportion_ci(SAMPLING)
+    return float(bounds.low), float(bounds.high)
 
 
 def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure
+from experiments.drawing import of_errors
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.grid import named_config
@@ -110,13 +110,6 @@ def summary(results: Results) -> pd.DataFrame:
     return efficiency_table(beside)
 
 
-def figure(table: pd.DataFrame) -> Figure:
-    """Draw each method's errors and bounds."""
-    from experiments.drawing.errors import efficiency_figure
-
-    return efficiency_figure(table)
-
-
 def share(results: Results, method: str) -> str:
     """Range over the cells of the bound of t_d over the error, for white noise."""
     shares = 100 * results.column("efficiency", "t_d_efficiency", method=method)
@@ -130,7 +123,10 @@ STUDIES = (
         bound_cells,
         Measure(load_flown, bound_row, BoundRow),
         Runs("efficiency_runs.csv", FLIGHT),
-        (Made("efficiency.csv", summary), made_of("efficiency.png", figure, "efficiency")),
+        (
+            Made("efficiency.csv", summary),
+            made_of("efficiency.png", of_errors("efficiency_figure"), "efficiency"),
+        ),
         numbers={f"bound.{m}": partial(share, method=m) for m in ("ssac", "joint", "tangency")},
         config={"tables": TABLES, "methods": list(SAMPLES)},
         reads=("runs.csv",),

@@ -102,12 +102,15 @@ def fidelity_row(_: FidelityCell, both: list[Pair]) -> FidelityRow:
     """Compare a recording with its reference."""
     cameras = zip(both[0][:2], both[1][:2], strict=True)
     each = [compare_events(ours.events, theirs.events) for ours, theirs in cameras]
-    ours_ms, theirs_ms = (_offsets_ms(pair) for pair in both)
+    # Only a method that needs the true pose is given it.
+    ours, theirs = (Chain((pair.cam1, pair.cam2), pair.rig) for pair in both)
     n_reference, *shares = (
         float(np.mean([getattr(camera, name) for camera in each]))
         for name in ("n_reference", *SHARES)
     )
-    differences_ms = [ours_ms[name] - theirs_ms[name] for name in METHOD_NAMES]
+    differences_ms = [
+        1e3 * ours.estimate(name).t_d_s - 1e3 * theirs.estimate(name).t_d_s for name in METHOD_NAMES
+    ]
     return FidelityRow("ok", "", round(n_reference), *shares, *differences_ms)
 
 
@@ -124,12 +127,6 @@ def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> FidelityRow
         spurious=1.0 - n_matched / len(events),
         missing=1.0 - n_matched / len(reference),
     )
-
-
-def _offsets_ms(pair: Pair) -> dict[str, float]:
-    """Offset [ms] that each method finds; only a method that needs the true pose is given it."""
-    chain = Chain((pair.cam1, pair.cam2), pair.rig)
-    return {name: 1e3 * chain.estimate(name).t_d_s for name in METHOD_NAMES}
 
 
 def _sort_by_pixel(events: NDArray[Any]) -> tuple[IntArray, IntArray]:

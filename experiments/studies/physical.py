@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.drawing import of_errors
 from experiments.drawing.style import Figure, legend_below, method_looks, panels
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
@@ -62,13 +63,6 @@ def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.
 def published_tables() -> dict[float, pd.DataFrame]:
     """Read the paper's physical tables, by duration [s]."""
     return load_published(PUBLISHED, "mini", DURATIONS_S)
-
-
-def figure(runs: pd.DataFrame) -> Figure:
-    """Draw the errors of all methods beside the paper's."""
-    from experiments.drawing.errors import error_figure
-
-    return error_figure(runs, published_tables())
 
 
 def comparison(results: Results) -> pd.DataFrame:
@@ -124,7 +118,8 @@ def _study(duration_s: float, *more: Made, **others: Any) -> Study:
         bench.PHYSICAL,
         Runs(f"{name}_runs.csv", ("angle_deg", "t_d_ms", "flight", "method")),
         (made_of(f"{name}.csv", partial(esim_table, duration_s=duration_s), f"{name}_runs"),
-         made_of(f"{name}.png", figure, f"{name}_runs"), *more),
+         made_of(f"{name}.png", of_errors("error_figure", published_tables), f"{name}_runs"),
+         *more),
         checks=scored_checks(f"{name}_runs"),
         config=_config(duration_s),
         command=bench.COMMAND,

@@ -187,16 +187,12 @@ def required_cells() -> list[RequiredCell]:
             kinds = [
                 name
                 for name, required in KINDS.items()
-                if required.kind.scene == scene and index < flights_of(required.kind)
+                if required.kind.scene == scene
+                and (index < FEW or not required.kind.disturb.noise_hz)
             ]
             flights = (flight, flight + OTHER_FLIGHT)
             cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,), RequiredCell)
     return cells
-
-
-def flights_of(kind: Kind) -> int:
-    """Say on how many flights a kind is measured."""
-    return FEW if kind.disturb.noise_hz > 0.0 else FLIGHTS[kind.scene]
 
 
 def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import gmean
 
-from experiments.drawing.style import Figure
+from experiments.drawing import of_errors
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
 from experiments.lab.grid import Cell
@@ -97,14 +96,6 @@ def page(results: Results) -> str:
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 
-def figure(runs: pd.DataFrame, name: str) -> Figure:
-    """Draw errors against the angle, beside the paper's: of all methods, or of ours beyond it."""
-    from experiments.drawing import errors
-
-    drawn: Figure = getattr(errors, name)(runs, compared.load_published())
-    return drawn
-
-
 def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
     """Declare a file that is made of the runs alone."""
     return Made(file, lambda results: make(runs_of(results)))
@@ -167,17 +158,10 @@ def paper_size(results: Results) -> str:
     return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
 
 
-def ratio(results: Results, quantity: str, duration_s: float) -> str:
-    """Ours over the paper's, of the geometric means over the cells of one table."""
-    of = {"quantity": quantity, "duration_s": duration_s}
-    ours = results.column("comparison", "ours_mean", **of)
-    return f"{gmean(ours) / gmean(results.column('comparison', 'published_mean', **of)):.2f}"
-
-
-def ratio_interval(results: Results, quantity: str, duration_s: float) -> str:
-    """Say between which ratios `ratio` lies with 95 %."""
+def ratio(results: Results, form: str, quantity: str, duration_s: float) -> str:
+    """Ours over the paper's, of geometric means over the cells of a table, or its interval."""
     row = results.one("comparison_summary", quantity=quantity, duration_s=duration_s)
-    return f"{row['ratio'] / row['factor']:.2f} to {row['ratio'] * row['factor']:.2f}"
+    return form.format(**row, low=row["ratio"] / row["factor"], high=row["ratio"] * row["factor"])
 
 
 def cell_means(results: Results, method: str, error: str) -> list[float]:
@@ -224,8 +208,8 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
     "paper.size": paper_size,
     **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
     **{
-        f"paper.{what}.{q}.{d:g}": partial(function, quantity=PUBLISHED[q], duration_s=d)
-        for what, function in (("ratio", ratio), ("interval", ratio_interval))
+        f"paper.{what}.{q}.{d:g}": partial(ratio, form=form, quantity=PUBLISHED[q], duration_s=d)
+        for what, form in (("ratio", "{ratio:.2f}"), ("interval", "{low:.2f} to {high:.2f}"))
         for q in ("ssac.t_d", "ssac.R", "ssac.t")
         for d in DURATIONS_S
     },
@@ -251,9 +235,9 @@ STUDIES = (
             Made("comparison.csv", comparison),
             Made("comparison_summary.csv", lambda of: compared.summary_table(comparison(of))),
             Made("README.md", page),
-            made_of_runs("error_vs_angle.png", partial(figure, name="error_figure")),
-            made_of_runs("beyond_paper.png", partial(figure, name="beyond_figure")),
-            made_of_runs("success.png", partial(figure, name="success_figure")),
+            made_of_runs("error_vs_angle.png", of_errors("error_figure", compared.load_published)),
+            made_of_runs("beyond_paper.png", of_errors("beyond_figure", compared.load_published)),
+            made_of_runs("success.png", of_errors("success_figure")),
         ),
         numbers=NUMBERS,
         checks=CHECKS,

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.lab.recorded import FlightTruth
@@ -106,15 +105,6 @@ def rtk_of(truth: FlightTruth, flight: int) -> SpacePath:
     return SpacePath(shown_s, antenna_m + noise_m, quaternions=truth.quaternions[nearest])
 
 
-@lru_cache(maxsize=3)  # of one flight, whose kinds are estimated one after the other
-def clouds_of(
-    flight: int, camera: int, size_px: tuple[int, int], duration_s: float
-) -> NDArray[Any]:
-    """Give the events of the clouds that a camera, from 0 on, sees; times of the scene."""
-    view = View(*size_px, duration_s)
-    return clouds(view, CLOUDS_PX_S, generator(seed_of(flight), _STREAM, 2, camera))
-
-
 def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
     """Give the three cameras' intrinsics as a calibration would: with its errors."""
     rng = np.random.default_rng([_STREAM, seed_of(flight), 1])
@@ -168,7 +158,8 @@ def drone_events(
     width, height = recorded.width, recorded.height
     assert width is not None  # our own files have both
     assert height is not None
-    sky = clouds_of(flight, camera, (width, height), duration_s).copy()
+    drawn_by = generator(seed_of(flight), _STREAM, 2, camera)
+    sky = clouds(View(width, height, duration_s), CLOUDS_PX_S, drawn_by)
     runs = Clock(0.0, skew_ppm, t_ref_s)
     sky["t"] = np.rint(1e6 * runs.cam2_from_cam1(1e-6 * sky["t"]))
     events = merged(recorded.events, sky)

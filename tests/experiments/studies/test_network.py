@@ -32,13 +32,9 @@ def truth_of(times_s: np.ndarray, positions_m: np.ndarray, turns: Rotation) -> F
     return FlightTruth(times_s, positions_m, turns.as_quat(), (), (), np.eye(3), none, 1.0, Clock())
 
 
-def test_the_cameras_are_60_deg_apart_and_the_first_two_those_of_two_cameras() -> None:
-    rig = FourCameras().scene(0).rig
-    ahead = np.array([camera.T_C_W[2, :3] for camera in rig.cameras])
-    cosines = np.sum(ahead[1:] * ahead[:-1], axis=1)
-    assert np.rad2deg(np.arccos(cosines)) == pytest.approx([ANGLE_DEG] * (N_CAMERAS - 1))
+def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
     two = SimConfig(angle_deg=ANGLE_DEG).scene(0).rig
-    for camera, other in zip(rig.cameras, two.cameras, strict=False):
+    for camera, other in zip(FourCameras().scene(0).rig.cameras, two.cameras, strict=False):
         np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
     assert recording_key(FourCameras(), 0) != recording_key(SimConfig(angle_deg=ANGLE_DEG), 0)
 

@@ -57,11 +57,8 @@ def test_a_short_flight_gives_both_tables_and_from_the_cache_again(tmp_path: Pat
     )
 
 
-def test_options_are_those_of_the_cells_and_stand_in_the_command_line() -> None:
-    given = {"flights": 2, "duration": 30.0, "third": False}
-    assert STUDY.command_line(STUDY.options) == "ssac outdoor"
-    assert STUDY.command_line(given) == "ssac outdoor --flights 2 --duration 30.0 --no-third"
-    cells = outdoor.cells(**given)
+def test_options_are_those_of_the_cells() -> None:
+    cells = outdoor.cells(flights=2, duration=30.0, third=False)
     assert [cell.kind for cell in cells] == [*KINDS[:-1]] * 2
     assert {cell.config.spline.duration_s for cell in cells} == {30.0}
     with_third = [cell for cell in outdoor.cells(1) if len(cell.recordings) == 2]

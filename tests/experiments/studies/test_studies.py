@@ -23,7 +23,7 @@ WITH_CELLS = [
 ]
 
 OWN_FLIGHTS = (
-    *("coverage", "refusal", "imperfect", "marks", "tangency", "zncc", "fidelity"),
+    *("coverage", "refusal", "imperfect", "marks", "tangency", "fidelity"),
     *("mini_10", "mini_20", "error_budget", "light_latency"),
 )
 """Studies whose flights are those of no table."""

@@ -17,7 +17,6 @@ from sim.scene.rig import Camera
 from sim.sensor.kernels import EVENT_DTYPE
 from sim.twin.bench import bench_rig
 from sim.twin.calibration import CalibrationConfig, exact
-from ssac.errors import SsacError
 
 PLACE = (65.06, 10.0, 7)
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
@@ -32,8 +31,6 @@ def test_a_kind_has_the_imperfections_that_it_says_and_each_changes_the_bench() 
         assert set(bench.had_by(all_but(name))) == names - {name}
     assert len(KINDS) == len({bench_of(kind, *PLACE) for kind in KINDS}) == 2 * len(names) + 2
     assert bench_of(NONE, *PLACE) == bench.ideal(*PLACE)
-    with pytest.raises(SsacError, match=r"unknown kind 'only rain': use none, all.*turning"):
-        bench_of("only rain", *PLACE)
 
 
 def test_what_is_not_calibrated_is_true() -> None:
@@ -96,7 +93,6 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     runs = outcome.runs
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
-    assert (runs["seed"] == bench.motion_seed(DURATION_S, ANGLE_DEG, FLIGHT)).all()
     # Six seconds on an ideal bench leave `ssac` 0.2 to 1.6 ms (four recordings): a drone of
     # 26 px moves a pixel in 6 ms, and its middle is no point of it. Twice the most, for any method.
     assert runs["t_d_error_ms"].max() < 3.3
