@@ -77,7 +77,7 @@ VERDICTS = ("agrees", "better", "differs")
 
 REASONS: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "the paper's mean of ten flights says little more than how many are gross errors "
-    "(docs/zncc.md)": {
+    "(docs/methods.md)": {
         "quantity": ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
         "angle_deg": (60.0, 90.0, 120.0),
     },
@@ -87,7 +87,7 @@ REASONS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "t_d_ms": (5.0,),
     },
     "opposed views: near the truth the rates correlate negatively, and any other lag may win; "
-    "the paper's own three offsets differ as much (docs/zncc.md)": {
+    "the paper's own three offsets differ as much (docs/methods.md)": {
         "quantity": ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
         "angle_deg": (150.0,),
     },

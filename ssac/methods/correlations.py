@@ -146,7 +146,7 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     After Perot et al. (2020), as the paper uses it: one number per frame, and the lag with the
     highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper does not say which number; here it is the mean brightness, whose errors
-    are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
+    are nearest to the paper's at all angles (docs/methods.md). Frames are put on one grid of 20 ms
     in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
     """
     frame_s, signals = config.rules.signals.frame_s, []
