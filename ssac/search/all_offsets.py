@@ -39,8 +39,8 @@ def costs_at_lags(
 ) -> tuple[Array, IntArray]:
     """Cost (m,) of pairing sample i of track 1 with sample i + lag of track 2, and pairs (m,).
 
-    The median Sampson distance from the F that fits best, over the least of both paths' deviations:
-    F explains any two paths to the width of the thinner. Samples that do not move do not count.
+    The median Sampson distance from the F that fits best, over the thinner path's deviation, to
+    which F explains any two paths; NaN of too few. Samples of an object at rest do not count.
     """
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
     chosen = np.empty(len(one.valid), np.int64)

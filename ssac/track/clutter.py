@@ -112,7 +112,7 @@ def _count(
 
 
 def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
-    """Whether pixels (height, width) have many events, and too few around: an edge has similar."""
+    """Whether each pixel (height, width) has many events, and too few of those around it have."""
     rows, columns = np.nonzero(counts >= rules.min_masked_events)
     own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
     n_companions = np.full(len(own), -1)  # the pixel finds itself
@@ -124,7 +124,7 @@ def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
 
 
 def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
-    """Pixels (height, width) of clusters that never pause, with little around, as objects leave."""
+    """Pixels (height, width) of clusters that never pause, and around which there is little."""
     clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))
     if total < rules.min_bins_per_part * rules.parts:

@@ -94,7 +94,8 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
 def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
     """Find the second moments (n, 3, 3) of a rigid body from two views, as `second_moments`.
 
-    The one that rays leave open, at every `step`-th time, keeps the three deviations and is smooth.
+    They leave one combination open: at every `step`-th time it is such that the body's deviations
+    stay the same, and that it turns smoothly.
     """
     told = second_moments(views, smoothing, least_views=2)
     seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
@@ -139,7 +140,7 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose at m times one of k tensors (m, k, 6), alike and shaped so, by dynamic programming."""
+    """Choose at each of m times one of k tensors (m, k, 6) by dynamic programming; its cost too."""
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)
     costs, before = np.zeros(k), np.zeros(k)

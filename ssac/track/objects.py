@@ -116,7 +116,7 @@ class _Cells:
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
-    """First event of each `every`-th bin from the first event on, and after its last (b, 2)."""
+    """First event of each `every`-th bin, and the one after its last (b, 2)."""
     times_us = events["t"]
     n_bins = int(times_us[-1] - times_us[0]) // bin_us + 1
     starts = np.arange(0, n_bins, every, dtype=np.int64)
