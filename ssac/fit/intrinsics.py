@@ -109,8 +109,7 @@ def columns_of(problem: Problem) -> tuple[Column, ...]:
 def moves_of(camera: Camera, points_px: Array) -> Array:
     """Give how ideal points (n, 2) move for a value of one of fu, fv, pu, pv: (4, n, 2) [px].
 
-    A measured pixel m = c + f d(r) stays where it is: so the ray r changes by
-    -(f J)^-1 (dc + df d(r)), with the lens's derivative J = dd/dr.
+    A measured pixel m = c + f d(r) stays: r changes by -(f J)^-1 (dc + df d(r)), J = dd/dr.
     """
     centre, focal = camera.K[:2, 2], np.diag(camera.K)[:2]
     measured = distort_points(camera, points_px)

@@ -167,8 +167,7 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
 def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     """Median distance of rays (n, 3) from the homography between them, and its poses.
 
-    The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, as OpenCV's
-    takes both cameras to be on the same side of the plane.
+    By Ma et al., An Invitation to 3-D Vision, 5.3.3: OpenCV has cameras on one side of the plane.
     """
     found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
     if found is None:

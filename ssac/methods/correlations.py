@@ -114,10 +114,9 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
 
 @method("zncc_e", "correlation of event rates, offset only", place=8, input=Input.RATES)
 def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
-    """Time offset as the lag at which the event rates of both cameras correlate best.
+    """Time offset at which both cameras' event rates correlate best (Perot et al., 2020).
 
-    After Perot et al. (2020), as the paper uses it.
-    Deviation: it gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
+    Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
     """
     bin_s = config.rules.signals.zncc_bin_s
     signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]

@@ -157,8 +157,7 @@ class NetworkResult:
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
-    `method` is for each pair; None for the best one that it allows. SsacError if a recording cannot
-    be used, or contradicts what is known.
+    `method` is for each pair; None for the best one. SsacError for what contradicts what is known.
     """
     watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
     for a, b in combinations(range(len(chain)), 2):

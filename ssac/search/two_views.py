@@ -194,8 +194,7 @@ def views_of(
 class Shutters:
     """The k cameras, of both, whose readout is to be estimated.
 
-    A row is exposed its share of the height, times the readout, after the frame's time: one longer
-    by d shows the object where it was d times that share before.
+    A row is its share of the height, times the readout, later than the frame: so moves its image.
     """
 
     cameras: tuple[int, ...]  # 0 and 1

@@ -96,8 +96,7 @@ def body_moves(
 ) -> list[Array] | None:
     """Find the body's origin in the images of all cameras, less where it was thought to be.
 
-    Moves are (n, 2) [px] for each camera, NaN where not known; moments (m, 3, 3) are at even times.
-    None where the images are not those of a rigid body, or too few.
+    Moves are (n, 2) [px] for each camera, NaN where not known; None of no rigid body, or too few.
     """
     is_told = np.isfinite(moments[:, 0, 0])
     if not is_told.any():
@@ -395,11 +394,7 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations of turns and moves, from `first` on: (5, 5) and (5,).
-
-    Then the squares of what is left of the image, and of all of it. Turns are about the body's
-    axes. The room for work is all zero again.
-    """
+    """Give the normal equations of turns and moves from `first` on; the squares left, and all."""
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -456,11 +451,7 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
-
-    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
-    first and past the last rows and columns of pixels.
-    """
+    """Add optical depths and their slopes by turns [rad] and moves [px], from `first` on."""
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]

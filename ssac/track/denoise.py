@@ -42,8 +42,7 @@ def without_noise(
 ) -> tuple[Events, Clutter]:
     """Remove what fires by itself, then what fires alone; give what is left, and what was done.
 
-    Neighbours needed: as told; or the paper's, in noise those of a smaller ball, fewer of a thin
-    object.
+    Neighbours are as told, or the paper's; in noise of a smaller ball, and fewer of a thin object.
     """
     found = activity(events, width, height, rules)
     mask = masked_pixels(found, rules)

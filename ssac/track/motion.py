@@ -129,10 +129,7 @@ class ObjectMotion:
         return Track(times_s, positions_px, counts.reshape(shape), valid.reshape(shape))
 
     def centred_at(self, times_s: Array) -> Track:
-        """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
-
-        The mean time is another where a camera was blind. Invalid where there is no velocity.
-        """
+        """Sample as `at` does, and move means to their windows' middle, as for a blind camera."""
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         first, last = (self._indices(times_s, side) for side in (-1, +1))
         origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
