@@ -25,10 +25,13 @@ def triangulate(
 
     In front of two cameras at least, near their rays, and these apart; what is far off is left out.
     """
-    both = zip(states, cameras, strict=True)
-    tracks = [seen.motion.at(state.own_from_network(times_s)) for state, seen in both]
-    known = zip(states, cameras, tracks, strict=True)
-    rays = np.stack([rays_of(c.camera.K, at.positions_px) @ state.R for state, c, at in known])
+    rays = np.stack(
+        [
+            rays_of(seen.camera.K, seen.motion.at(state.own_from_network(times_s)).positions_px)
+            @ state.R
+            for state, seen in zip(states, cameras, strict=True)
+        ]
+    )
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     centres = np.stack([state.centre for state in states])[:, None, :]
     seen_by = np.asarray(np.isfinite(rays).all(axis=2))

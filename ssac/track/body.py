@@ -43,9 +43,12 @@ class Seen(NamedTuple):
 
     def of(self, chosen: IntArray) -> "Seen":
         """Give some of the instants."""
-        own = self.shares, self.corners_px, self.points, self.is_seen
-        shares, corners_px, points, is_seen = (part[chosen] for part in own)
-        return Seen(shares, corners_px, points, is_seen, self.views, self.focals_px)
+        return self._replace(
+            shares=self.shares[chosen],
+            corners_px=self.corners_px[chosen],
+            points=self.points[chosen],
+            is_seen=self.is_seen[chosen],
+        )
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
         """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
