@@ -74,7 +74,7 @@ def in_blocks(x1: Array, x2: Array) -> Array:
 
 @numba.njit(cache=True)
 def count_near(limit: float, F: Array, n: int, blocks: Array, most: int) -> int:
-    """Count pairs of `in_blocks` below a squared Sampson distance, or stop where `most` stay."""
+    """Count pairs of `in_blocks` below a squared distance; stop once it cannot exceed `most`."""
     f = _entries(F)
     count, left = 0, n
     for b in range(len(blocks)):

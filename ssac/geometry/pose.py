@@ -73,7 +73,7 @@ def nearest_pose(
 def pose_jacobian(
     R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
 ) -> Array:
-    """Differentiate Sampson distances by a small change of the pose, perhaps of known F: (N, 5)."""
+    """Differentiate Sampson distances by a small change of the pose: (N, 5) [px/rad]."""
     F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]

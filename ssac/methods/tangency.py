@@ -63,7 +63,7 @@ def tangents_under(
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
     """Find and pair the tangents of both views under an offset and a pose, at even times (n,) [s].
 
-    The events near each outline, which are given back, may be of an earlier call with like ones.
+    The events near each outline, which are given back, may be of a call with similar parameters.
     """
     rig, rules = views.rig, views.rules.tangency
     clocks_s = times_s, views.on_clock_2(times_s, parameters.t_d_s)

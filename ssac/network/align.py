@@ -127,7 +127,7 @@ def interpolated(path: Path) -> InTime:
 def smoothed(path: Path) -> InTime:
     """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
 
-    Through noise, interpolation halves it between points, where a shift would then be found.
+    Between noisy points interpolation halves the noise, and a shift would be drawn to there.
     """
     best, least = None, np.inf
     for n in RULES.points_per_knot:

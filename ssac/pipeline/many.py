@@ -141,7 +141,7 @@ class NetworkResult:
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write an HTML page that needs no other file, the command on it; give its path."""
+        """Write an HTML page that needs no other file, with the command on it; give its path."""
         from ssac.pipeline.html_report import save_report
 
         return save_report(Path(path), self.pairs, self.network, self.summary(), command)

@@ -129,7 +129,7 @@ class TwoViews:
     def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
         """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,).
 
-        Deviation: evenly over when both see the object, where that is less than half of it.
+        Deviation: over the time in which both see the object, where that is less than half of it.
         """
         n = n_samples or self.config.n_samples
         start, end = self.overlap_s(t_d_s)
@@ -194,7 +194,7 @@ def views_of(
 class Shutters:
     """The k cameras, of both, whose readout is to be estimated.
 
-    A row is its share of the height, times the readout, later than the frame: so moves its image.
+    A row is later than its frame by its share of the height, times the readout, and so is an image.
     """
 
     cameras: tuple[int, ...]  # 0 and 1

@@ -169,7 +169,7 @@ class _Blocks:
     def extremes(
         self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
-        """Find how far up the outline reaches about usable samples: a rank, as one may be noise."""
+        """Find how far up the outline reaches in windows about the usable samples, by two ranks."""
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + 2 * np.arange(len(self.times_s)) - half
