@@ -1,5 +1,6 @@
 """The parameters of all methods, and whether they make sense."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -177,6 +178,7 @@ def validated(config: Config | None) -> Config:
         if not isinstance(getattr(config, name), (bool, np.bool_)):
             raise SsacError(f"{name} must be True or False, got {getattr(config, name)!r}")
     skew, rough = f"0 to {MAX_SKEW_PPM:g}", f"above 0 and up to {MAX_SKEW_PPM:g}"
+    is_right: Callable[[float], bool]
     for name, value, is_right, need in (
         ("half_window_s", config.half_window_s, lambda s: 0.0 < s < np.inf, "positive and finite"),
         ("min_swings", config.min_swings, lambda n: 0 <= n < np.inf, "0 or more, and finite"),
