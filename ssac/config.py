@@ -1,5 +1,6 @@
 """The parameters of all methods, and whether they make sense."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +21,11 @@ MAX_VALLEY_S = 0.3
 MAX_COUNT = 10_000_000
 """Largest of all counts: more would fill the memory before anything is found."""
 
-_COUNTS = "n_samples", "n_min", "n_neighbours", "trials", "final_trials"
-"""Fields that are whole numbers, and 1 at least."""
+_COUNTS = {
+    **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
+    **dict.fromkeys(("border_px", "seed"), 0),
+}
+"""Fields that are whole numbers, and the least of each."""
 
 CLOCKS = ("auto", "affine", "pieces")
 
@@ -164,22 +168,23 @@ def validated(config: Config | None) -> Config:
     if config.interval_s is not None and (config.search == "all" or config.rates is not None):
         other = 'search="all"' if config.search == "all" else "rates"
         raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
-    for name in _COUNTS:
-        _check_count(name, getattr(config, name), 1)
-    _check_count("border_px", config.border_px, 0)
-    _check_count("seed", config.seed, 0, 2**32 - 1)
+    for name, least in _COUNTS.items():
+        value, most = getattr(config, name), 2**32 - 1 if name == "seed" else MAX_COUNT
+        is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        is_open = value is None and getattr(Config, name) is None
+        if not (is_open or (is_whole and least <= value <= most)):
+            raise SsacError(f"{name} must be a whole number of {least} to {most}, got {value!r}")
     for name in ("exhaustive", "denoise", "search_skews", "choose_object"):
         if not isinstance(getattr(config, name), (bool, np.bool_)):
             raise SsacError(f"{name} must be True or False, got {getattr(config, name)!r}")
+    skew, rough = f"0 to {MAX_SKEW_PPM:g}", f"above 0 and up to {MAX_SKEW_PPM:g}"
+    is_right: Callable[[float], bool]
     for name, value, is_right, need in (
         ("half_window_s", config.half_window_s, lambda s: 0.0 < s < np.inf, "positive and finite"),
         ("min_swings", config.min_swings, lambda n: 0 <= n < np.inf, "0 or more, and finite"),
         ("max_valley_s", config.max_valley_s, lambda s: 0 <= s < np.inf, "0 or more, and finite"),
-        ("skew_prior_ppm", config.prior_ppm, _is_skew, f"0 to {MAX_SKEW_PPM:g}"),
-        (
-            *("roughness_ppm", config.roughness_ppm, lambda ppm: ppm > 0.0 and _is_skew(ppm)),
-            f"above 0 and up to {MAX_SKEW_PPM:g}",
-        ),
+        ("skew_prior_ppm", config.prior_ppm, lambda ppm: 0 <= ppm <= MAX_SKEW_PPM, skew),
+        ("roughness_ppm", config.roughness_ppm, lambda ppm: 0 < ppm <= MAX_SKEW_PPM, rough),
         ("max_border_fraction", config.max_border_fraction, lambda x: 0.0 <= x <= 1.0, "0 to 1"),
     ):
         if not (is_number(value) and is_right(value)):
@@ -188,19 +193,6 @@ def validated(config: Config | None) -> Config:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
     check_rules(config.rules)
     return config
-
-
-def _is_skew(ppm: float) -> bool:
-    return 0.0 <= ppm <= MAX_SKEW_PPM
-
-
-def _check_count(name: str, value: object, least: int, most: int = MAX_COUNT) -> None:
-    """Refuse what is no whole number, or out of all bounds; None where it is left open."""
-    if value is None and name in ("n_min", "n_neighbours"):
-        return
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not (is_whole and least <= value <= most):  # type: ignore[operator]
-        raise SsacError(f"{name} must be a whole number of {least} to {most}, got {value!r}")
 
 
 def _are_bounds(bounds: object) -> bool:

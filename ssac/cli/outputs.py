@@ -66,12 +66,15 @@ def write_outputs(
     log: Log,
 ) -> None:
     """Write what was asked for and say so, figures and page last."""
+    if outputs.json_file is not None:
+        save_json(outputs.json_file, result.to_dict())
+        log(f"wrote {outputs.json_file}")
     if isinstance(result, Result):
         _write_of_two(result, outputs, cam2, reading, known, log)
     else:
         from ssac.pipeline.many import write_many
 
-        write_many(result, outputs.json_file, outputs.trajectory, outputs.write_rig, log)
+        write_many(result, outputs.trajectory, outputs.write_rig, log)
     clock = Stopwatch(log)
     if outputs.plot is not None:
         with clock.part("draw") as say:
@@ -86,9 +89,6 @@ def _write_of_two(
     result: Result, outputs: Outputs, cam2: Path, reading: Reading, known: Known, log: Log
 ) -> None:
     estimate, synced = result.estimate, outputs.write_synced
-    if outputs.json_file is not None:
-        save_json(outputs.json_file, result.to_dict())
-        log(f"wrote {outputs.json_file}")
     if synced is not None and not estimate.has_offset:
         log(f"not written: {synced}, since there is no reliable offset")
     elif synced is not None:
@@ -102,14 +102,10 @@ def _write_of_two(
                 write_synced(synced, load_events(cam2, reading), estimate.clock)
             is_sure = np.isfinite(estimate.t_d_std_s)
             say(str(synced) if is_sure else f"{synced}, by an offset of unknown accuracy")
-    if outputs.trajectory is not None:
-        from ssac.pipeline.many import write_path_of_two
+    if outputs.trajectory is not None or outputs.write_rig is not None:
+        from ssac.pipeline.many import write_two
 
-        write_path_of_two(outputs.trajectory, result.answer, known, log)
-    if outputs.write_rig is not None:
-        from ssac.pipeline.many import write_rig_of_two
-
-        write_rig_of_two(outputs.write_rig, result.answer, log)
+        write_two(result.answer, known, outputs.trajectory, outputs.write_rig, log)
 
 
 def known_of(

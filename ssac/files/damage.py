@@ -6,14 +6,13 @@ another matter: they are sorted where that is asked for.
 """
 
 import warnings
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ssac.arrays import Events, IntArray
+from ssac.arrays import Events
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events
 
@@ -56,9 +55,8 @@ def checked_file(
 ) -> EventFile:
     """Give the events of a file as they are if it is whole, else what `reading` makes of them.
 
-    In text, whose times may be rounded, one event may stand often. SsacError if time runs back or
-    leaps, one event is repeated, or events lie outside the sensor, and that is not allowed; or if
-    there are none.
+    SsacError for signs of damage that are not allowed, and for no events. In text, whose times may
+    be rounded, one event may stand often.
     """
     t = np.ascontiguousarray(events["t"])
     is_odd = np.any(t[1:] < t[:-1]) or np.any(t[REPEATED - 1 :] == t[: 1 - REPEATED])
@@ -121,25 +119,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
 
 
 def _longest(events: Events) -> Events:
-    """Keep as many events as are in order; of the parts between leaps of time, the largest."""
-    events = events[_in_sequence(events["t"])]
-    ends = np.append(1 + np.flatnonzero(np.diff(events["t"]) > _LONGEST_GAP_US), len(events))
-    starts = np.append(0, ends[:-1])
-    k = int(np.argmax(ends - starts))
-    return events[starts[k] : ends[k]]
-
-
-def _in_sequence(t: IntArray) -> list[int]:
-    """Give the indices of the longest subsequence of times (n,) that never runs back."""
-    least_us: list[int] = []  # of sequences by length: the time with which one ends first
-    last: list[int] = []  # index of that time
-    before = []
-    for i, t_us in enumerate(t.tolist()):
-        k = bisect_right(least_us, t_us)
-        before.append(last[k - 1] if k else -1)
-        least_us[k : k + 1], last[k : k + 1] = [t_us], [i]
-    kept, i = [], last[-1]
-    while i >= 0:
-        kept.append(i)
-        i = before[i]
-    return kept[::-1]
+    """Keep, of the parts between which time runs back or leaps, the largest."""
+    steps_us = np.diff(events["t"])
+    breaks = np.flatnonzero((steps_us < 0) | (steps_us > _LONGEST_GAP_US))
+    return max(np.split(events, breaks + 1), key=len)

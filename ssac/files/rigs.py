@@ -21,12 +21,6 @@ RIG_SUFFIXES = (".yaml", ".yml")
 
 _CAMERA = re.compile(r"cam\d+")
 
-# The spellings of OpenCV's stereo samples, of its documentation and of common tools.
-_OPENCV_K = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}")
-_OPENCV_D = ("D{}", "distCoeffs{}", "dist_coeffs_{}")
-_OPENCV_SIZE = ("size", "imageSize", "image_size")
-_OPENCV_SIDES = ("width", "height"), ("imageWidth", "imageHeight"), ("image_width", "image_height")
-
 
 def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     """Read two cameras of a rig, and their relative pose where the file has it.
@@ -36,9 +30,8 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     path
         A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
         of a camera is its pose from the one before), or what OpenCV's FileStorage writes after a
-        stereo calibration: K1, D1, K2, D2 (or M1, M2, cameraMatrix1, distCoeffs1, ...), the image
-        size, and R and T where known. OpenCV's files do not name their lens model: it is taken as
-        radtan unless the key `distortion_model` says `equidistant`.
+        stereo calibration: K1, D1, K2, D2, the image's `size`, and R and T where known; radtan
+        unless the key `distortion_model` says `equidistant`.
     cameras
         Numbers of the two that are to be cameras 1 and 2, from 1 on.
 
@@ -186,44 +179,29 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
             "asked for: give a Kalibr camchain of all cameras"
         )
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    cam1, cam2 = (_camera_from_opencv(storage, path, i) for i in cameras)
+
+    def matrix(key: str) -> Array:
+        node = storage.getNode(key)
+        if node.empty():
+            raise SsacError(f"{path}: expected a matrix {key}: add it from the calibration")
+        return np.asarray(node.mat(), dtype=np.float64)
+
+    def camera(i: int) -> Camera:
+        K, coeffs, size = matrix(f"K{i}"), matrix(f"D{i}").ravel(), storage.getNode("size")
+        if not (size.isSeq() and size.size() == 2):
+            raise SsacError(f"{path}: the image size is missing: add `size: [ width, height ]`")
+        sides = [size.at(axis).real() for axis in range(2)]
+        model = storage.getNode("distortion_model").string() or "radtan"
+        return _checked_camera(f"{path}, camera {i}", K, sides, model, coeffs)
+
+    cam1, cam2 = map(camera, cameras)
     if cameras[0] == cameras[1] or (storage.getNode("R").empty() and storage.getNode("T").empty()):
         return Rig(cam1, cam2)
     T_2_1 = np.eye(4)
-    T_2_1[:3, :3] = _numbers(_opencv_matrix(storage, ["R"], path), (3, 3), f"{path}, R")
-    T_2_1[:3, 3] = _numbers(_opencv_matrix(storage, ["T"], path).ravel(), (3,), f"{path}, T")
+    T_2_1[:3, :3] = _numbers(matrix("R"), (3, 3), f"{path}, R")
+    T_2_1[:3, 3] = _numbers(matrix("T").ravel(), (3,), f"{path}, T")
     check_transform(T_2_1, f"{path}, R")
     return Rig(cam1, cam2, T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1)))
-
-
-def _camera_from_opencv(storage: cv2.FileStorage, path: Path, i: int) -> Camera:
-    """Camera number i (1 or 2) of an OpenCV stereo file."""
-    model = storage.getNode("distortion_model").string() or "radtan"
-    K = _opencv_matrix(storage, [key.format(i) for key in _OPENCV_K], path)
-    coeffs = _opencv_matrix(storage, [key.format(i) for key in _OPENCV_D], path).ravel()
-    return _checked_camera(f"{path}, camera {i}", K, _opencv_size(storage, path), model, coeffs)
-
-
-def _opencv_matrix(storage: cv2.FileStorage, keys: list[str], path: Path) -> Array:
-    """Matrix under the first of the keys that the file has."""
-    for key in keys:
-        node = storage.getNode(key)
-        if not node.empty():
-            return np.asarray(node.mat(), dtype=np.float64)
-    raise SsacError(f"{path}: expected a matrix {' or '.join(keys)}: add it from the calibration")
-
-
-def _opencv_size(storage: cv2.FileStorage, path: Path) -> tuple[float, float]:
-    """Image width and height [px]."""
-    for key in _OPENCV_SIZE:
-        node = storage.getNode(key)
-        if node.isSeq() and node.size() == 2:
-            return node.at(0).real(), node.at(1).real()
-    for keys in _OPENCV_SIDES:
-        width, height = map(storage.getNode, keys)
-        if not width.empty() and not height.empty():
-            return width.real(), height.real()
-    raise SsacError(f"{path}: the image size is missing: add the line `size: [ width, height ]`")
 
 
 def _checked_camera(

@@ -78,13 +78,10 @@ class _Agreement:
 def albl_of_views(views: TwoViews) -> Estimate:
     """Time offset and relative pose by the iterated solver; it may stop at a local optimum.
 
-    Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
-    iteration starts where a first RANSAC finds most inliers, of offsets all over the search
-    interval that do not depend on where this lies. Their image tracks are sampled per frame, ours
-    at any time, so the shift is not rounded to frames; RANSAC's solution is polished by a search in
-    b for the least singular value of the same equations over all its inliers; and two more rounds
-    of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
-    milliseconds off. They do not say when to distrust the result.
+    Deviation from Albl et al.: with no rough offset, it starts where a first RANSAC, all over the
+    interval, finds most inliers. Tracks are sampled at any time, so the shift is not rounded to
+    frames; it is polished in b over all inliers, and two more rounds follow, as all pairs may be
+    inliers some milliseconds off. They do not say when to distrust the result.
     """
     rules, min_pairs = views.rules.albl, views.rules.search.min_pairs
     usable_s = candidate_offsets(views)
@@ -93,7 +90,7 @@ def albl_of_views(views: TwoViews) -> Estimate:
         reason = f"the events have no common time at any offset between {low:g} and {high:g} s"
         return Estimate("albl", Status.NO_COMMON_TIME, reason)
     low, high = float(usable_s[0]), float(usable_s[-1])
-    t_d_s = _start(views, _start_offsets(low, high, rules.start_step_s))
+    t_d_s = _start(views, low, high)
     rng = np.random.default_rng(views.config.seed)
     best_share = 0.0
     level, pairs = 0, views.pairs(np.array([t_d_s]))
@@ -129,19 +126,17 @@ def albl_of_views(views: TwoViews) -> Estimate:
     return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, views, p1, p2)
 
 
-def _start_offsets(low_s: float, high_s: float, step_s: float) -> Array:
-    """Offsets [s] to start from: odd multiples of half a step between two bounds, and these."""
-    # Fixed to the clocks, lest an interval that somebody put around the offset tell where it is.
+def _start(views: TwoViews, low_s: float, high_s: float) -> float:
+    """Choose the start [s] from which one linearisation makes inliers of most pairs."""
+    # Odd multiples of half a step, fixed to the clocks, lest an interval that somebody put around
+    # the offset tell where it is.
+    rules, step_s = views.rules.albl, views.rules.albl.start_step_s
     first, last = (round(bound_s / step_s) for bound_s in (low_s, high_s))
     grid_s = step_s * (np.arange(first - 1, last + 2) + 0.5)
-    return np.unique(np.clip(grid_s, low_s, high_s))
-
-
-def _start(views: TwoViews, starts_s: Array) -> float:
-    """Choose the start [s] from which one linearisation makes inliers of most pairs."""
-    rules, best_s, best_share = views.rules.albl, float(starts_s[0]), 0.0
+    starts_s = np.unique(np.clip(grid_s, low_s, high_s))
+    best_s, best_share = float(starts_s[0]), 0.0
     pairs = views.pairs(starts_s)
-    both = _secants(views, pairs, 0.5 * rules.start_step_s)
+    both = _secants(views, pairs, 0.5 * step_s)
     for m, start_s in enumerate(starts_s.tolist()):
         rng = np.random.default_rng(views.config.seed)  # the same numbers for each start
         linearised = [_linearised(pairs, *secants, m) for secants in both]

@@ -88,10 +88,9 @@ class Choice:
     by_own_pairs: bool = False  # the distance that counts is of what is refined, else of positions
 
     def settled(self, start: Estimate) -> Estimate:
-        """Refine an estimate, and all that is in question beside it, and choose the best.
+        """Refine an estimate and all that is in question beside it; the best, or the start of none.
 
-        The start is given back when nothing can be made of it. The result is not judged by its own
-        covariance yet, which is for `ssac.methods.verdict.certain`.
+        Its own covariance is judged later, by `ssac.methods.verdict.certain`.
         """
         if start.status == Status.OK:
             start = self.refine(start, self.views)
@@ -116,8 +115,7 @@ class Choice:
     def confirmed(self, estimate: Estimate, start: Estimate) -> Estimate:
         """Keep to the search's refusal where the failure of all other hypotheses says little.
 
-        On a circle F is open at any offset, so that other poses may fit that no hypothesis led to;
-        and so they may all along a valley without an end. The start is of the search.
+        On a circle, or along a valley without an end, others may fit that no hypothesis led to.
         """
         views = self.views
         is_searched = start.status == Status.AMBIGUOUS_OFFSET and not views.pose_is_known
@@ -133,10 +131,7 @@ class Choice:
         return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
 
     def hypotheses(self, start: Estimate) -> list[Estimate]:
-        """Offsets and poses that are in question beside an estimate; none where none is.
-
-        Of one that is "ok" and refined: the other poses of the plane in which the path may lie.
-        """
+        """Give what is in question beside an estimate: of one refined, other poses of a plane."""
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
             return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)

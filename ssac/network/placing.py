@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ssac.arrays import Array, Mask
+from ssac.geometry.pose import rays_of
 from ssac.network.graph import Link, Pair
 from ssac.network.normal import Linear, Normal, Spline, basis, jerks, solve
 from ssac.network.state import CameraState, Sightings
@@ -20,14 +21,14 @@ from ssac.rules import NetworkRules
 def triangulate(
     states: list[CameraState], cameras: list[Sightings], times_s: Array, rules: NetworkRules
 ) -> Array:
-    """Give the points (n, 3) that at least two cameras see at the network's times (n,); else NaN.
+    """Give the points (n, 3) nearest to all rays at the network's times (n,); else NaN.
 
-    The point nearest to all rays; it must be in front of two cameras at least, near their rays,
-    and these apart. A ray that is far off is left out once.
+    In front of two cameras at least, near their rays, and these apart; what is far off is left out.
     """
     rays = np.stack(
         [
-            seen.rays_at(state.own_from_network(times_s)) @ state.R
+            rays_of(seen.camera.K, seen.motion.at(state.own_from_network(times_s)).positions_px)
+            @ state.R
             for state, seen in zip(states, cameras, strict=True)
         ]
     )

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.clock import PPM
-from ssac.geometry.pose import rays_of
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.motion import PointMotion, point_motion
@@ -66,10 +65,6 @@ class Sightings:
     def shares(self) -> Array:
         """Deviation of each sighting (n,), by the median of them."""
         return np.asarray(self.sigmas_px / np.median(self.sigmas_px))
-
-    def rays_at(self, times_s: Array) -> Array:
-        """Directions (n, 3), z = 1, at times (n,) of its clock; NaN where it did not see it."""
-        return rays_of(self.camera.K, self.motion.at(times_s).positions_px)
 
 
 def sightings(

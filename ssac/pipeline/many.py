@@ -25,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import html_of, plain, save_json, text_of
+from ssac.pipeline.report import html_of, plain, text_of
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -129,10 +129,7 @@ class NetworkResult:
         }
 
     def plotted(self, path: Path) -> list[Path]:
-        """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give the files.
-
-        I and J are the numbers of both cameras, from 1 on.
-        """
+        """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give files."""
         from ssac.pipeline.plots import material_of, save_figures
 
         drawn = list[Path]()
@@ -144,10 +141,7 @@ class NetworkResult:
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write all that is known as an HTML page that needs no other file; give its path.
-
-        The command that led to the result is shown on it, where it is given.
-        """
+        """Write an HTML page that needs no other file, with the command on it; give its path."""
         from ssac.pipeline.html_report import save_report
 
         return save_report(Path(path), self.pairs, self.network, self.summary(), command)
@@ -163,8 +157,7 @@ class NetworkResult:
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
-    `method` is for each pair; None for the best one that it allows. SsacError if a recording cannot
-    be used, or contradicts what is known.
+    `method` is for each pair; None for the best one. SsacError for what contradicts what is known.
     """
     watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
     for a, b in combinations(range(len(chain)), 2):
@@ -217,16 +210,25 @@ def grounded(
     return in_frame(answer, ground), ground
 
 
-def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> None:
-    """Find the path that two cameras saw and write it; say so, or why there is none."""
-    if answer.estimate.status != Status.OK or answer.estimate.R is None:
-        log(f"not written: {file}, since there is no reliable pose")
+def write_two(
+    answer: Answer, known: Known, trajectory: Path | None, rig: Path | None, log: Log
+) -> None:
+    """Write the path that two cameras saw, and the rig with the pose found; say so, or why not."""
+    estimate, distance_m = answer.estimate, _distance_m(answer)
+    if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
+        for file in filter(None, (trajectory, rig)):
+            log(f"not written: {file}, since there is no reliable pose")
         return
-    chain = Chain(answer.cleans, answer.rig, answer.config)
-    distance_m = _distance_m(answer)
-    found = solve_pairs(chain, {(0, 1): answer}, distance_m)
-    found, ground = grounded(found, known, answer.config.rules.ground)
-    _write_paths(file, found, distance_m is not None or ground is not None, log)
+    if trajectory is not None:
+        chain = Chain(answer.cleans, answer.rig, answer.config)
+        found = solve_pairs(chain, {(0, 1): answer}, distance_m)
+        found, ground = grounded(found, known, answer.config.rules.ground)
+        _write_paths(trajectory, found, distance_m is not None or ground is not None, log)
+    if rig is not None:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = estimate.R, estimate.t * (distance_m or 1.0)
+        cameras = Cameras((answer.rig.cam1, answer.rig.cam2), (T,))
+        _save_rig(rig, cameras, [estimate.t_d_s], distance_m is not None, log)
 
 
 def _distance_m(answer: Answer) -> float | None:
@@ -235,18 +237,6 @@ def _distance_m(answer: Answer) -> float | None:
     if answer.distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
         return float(np.linalg.norm(T_2_1[:3, 3]))
     return answer.distance_m
-
-
-def write_rig_of_two(file: Path, answer: Answer, log: Log) -> None:
-    """Write the rig with the pose found, and say so; or why there is none."""
-    estimate = answer.estimate
-    if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
-        log(f"not written: {file}, since there is no reliable pose")
-        return
-    distance_m, T = _distance_m(answer), np.eye(4)
-    T[:3, :3], T[:3, 3] = estimate.R, estimate.t * (distance_m or 1.0)
-    rig = Cameras((answer.rig.cam1, answer.rig.cam2), (T,))
-    _save_rig(file, rig, [estimate.t_d_s], distance_m is not None, log)
 
 
 def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
@@ -283,17 +273,8 @@ def _clock(camera: CameraAnswer) -> Clock:
     return Clock(camera.t_d_s, camera.skew_ppm, camera.t_ref_s, camera.knots_s, camera.strays_s)
 
 
-def write_many(
-    result: NetworkResult,
-    json_file: Path | None,
-    trajectory: Path | None,
-    rig: Path | None,
-    log: Log,
-) -> None:
+def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:
     """Write what was asked for, and say so."""
-    if json_file is not None:
-        save_json(json_file, result.to_dict())
-        log(f"wrote {json_file}")
     if trajectory is not None:
         _write_paths(trajectory, result.network, result.scale_is_known, log)
     if rig is not None:

@@ -106,10 +106,9 @@ class EpipolarRow:
 
 
 def save_figures(target: Path, material: Material, only: str = "") -> list[Path]:
-    """Draw what an estimate allows; give the files written, none when there is nothing to draw.
+    """Draw what an estimate allows, or `only` one figure; give the files written, maybe none.
 
-    The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
-    for all figures, one below the other. `only` names the one figure that is wanted.
+    The target is a folder for one PNG each, or a file of FIGURE_SUFFIXES for all of them.
     """
     figures = [figure for figure in figures_of(material) if only in ("", figure[0])]
     if not figures:
@@ -179,7 +178,10 @@ def draw_search(canvas: Canvas, material: Material) -> None:
 def draw_costs(axes: Axes, material: Material) -> None:
     """Draw the cost, or the correlation, at all offsets that were tried."""
     estimate, t_d_s = material.estimate, material.estimate.t_d_s
-    offsets_s, costs = search_curve(material)
+    offsets_s, costs = estimate.candidates_s, estimate.costs
+    if not np.isfinite(costs).any():  # the method kept none: that of its F
+        offsets_s = np.arange(*material.views.config.offsets_s, 2e-3, dtype=np.float64)
+        costs = d_avg_px(material, offsets_s)
     # Clocks may be years apart, and ticks must tell them from each other.
     base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
     if estimate.F is None and np.nanmin(costs) < 0.0:
@@ -238,15 +240,6 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
             axes.set_ylim(centre[1] + 0.75 * reach_px, centre[1] - 0.75 * reach_px)
     handles = [*left.get_legend_handles_labels()[0], *POLARITIES]
     canvas.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
-
-
-def search_curve(material: Material) -> tuple[Array, Array]:
-    """Offsets and costs that the method tried; d_avg of its F when it kept none."""
-    estimate = material.estimate
-    if np.isfinite(estimate.costs).any():
-        return estimate.candidates_s, estimate.costs
-    offsets_s: Array = np.arange(*material.views.config.offsets_s, 2e-3, dtype=np.float64)
-    return offsets_s, d_avg_px(material, offsets_s)
 
 
 def d_avg_px(material: Material, offsets_s: Array) -> Array:

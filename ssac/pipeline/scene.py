@@ -10,6 +10,7 @@ from ssac.geometry.epipolar import cross_matrix, robust_deviation, sampson_dista
 from ssac.geometry.pose import depths, rays_of, tangent_basis
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.plots import Material
+from ssac.track.moments import image_by_place
 
 _MOST_POINTS = 1500  # of the path
 _CROSSES = 60  # of deviations along it
@@ -17,10 +18,9 @@ _LARGER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))  # how deviation
 
 
 def scene_of_two(material: Material) -> dict[str, Any] | None:
-    """Lay out two cameras, the first of which is the frame, and where both rays to the object meet.
+    """Lay out two cameras, in the first one's frame, and the path; None without a reliable pose.
 
-    Deviations of the path are those of its positions' noise; the pose's are at camera 2. None where
-    there is no reliable pose.
+    Deviations of the path are those of its positions' noise; the pose's are at camera 2.
     """
     estimate, views = material.estimate, material.views
     R, t, F = estimate.R, estimate.t, estimate.F
@@ -42,11 +42,7 @@ def scene_of_two(material: Material) -> dict[str, Any] | None:
         (material.cameras[0].K, np.eye(3), np.zeros(3)),
         (material.cameras[1].K, R, t),
     ):
-        x, y, z = (points[some] @ turn.T + shift).T
-        by: Array = np.zeros((len(some), 2, 3))  # derivatives of the pixels by the point
-        by[:, 0, 0], by[:, 0, 2] = K[0, 0] / z, -K[0, 0] * x / z**2
-        by[:, 1, 1], by[:, 1, 2] = K[1, 1] / z, -K[1, 1] * y / z**2
-        by = by @ turn
+        by = image_by_place(turn, np.diag(K)[:2], points[some] @ turn.T + shift)
         information += np.swapaxes(by, 1, 2) @ by
     sigma_px = robust_deviation(sampson_distance(F, p1, p2))
     axes_2: Array = np.zeros((3, 3))

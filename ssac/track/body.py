@@ -43,13 +43,11 @@ class Seen(NamedTuple):
 
     def of(self, chosen: IntArray) -> "Seen":
         """Give some of the instants."""
-        return Seen(
-            self.shares[chosen],
-            self.corners_px[chosen],
-            self.points[chosen],
-            self.is_seen[chosen],
-            self.views,
-            self.focals_px,
+        return self._replace(
+            shares=self.shares[chosen],
+            corners_px=self.corners_px[chosen],
+            points=self.points[chosen],
+            is_seen=self.is_seen[chosen],
         )
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
@@ -84,11 +82,6 @@ class Look:
     shares: NDArray[np.float32]  # (n, w, w) of pixels that are covered
     corners_px: Array  # (n, 2) of the first pixel of each, from the principal point; NaN: no image
 
-    @property
-    def px_per_length(self) -> float:
-        """How many pixels a unit of length has in the image, in the median."""
-        return float(np.median(self.focal_px[0] / self.points[:, 2]))
-
     def coarser(self, factor: int) -> "Look":
         """Give the same with pixels of so many times the width."""
         if factor == 1:
@@ -104,17 +97,16 @@ class Look:
 def body_moves(
     looks: list[Look], shape_s: Array, moments: Array, rules: BodyRules
 ) -> list[Array] | None:
-    """Find the body's origin in the images of all cameras.
+    """Find the body's origin in the images of all cameras, less where it was thought to be.
 
-    The body's second moments (m, 3, 3), at even times (m,), are those of `second_moments`. Gives
-    for each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where that
-    is not known. None where the images are not those of a rigid body, or too few.
+    Moves are (n, 2) [px] for each camera, NaN where not known; None of no rigid body, or too few.
     """
     is_told = np.isfinite(moments[:, 0, 0])
     if not is_told.any():
         return None
     size = float(np.sqrt(np.median(np.linalg.eigvalsh(moments[is_told])[:, 2])))
-    factor = max(1, *(round(size * look.px_per_length / rules.full_px) for look in looks))
+    px_per_length = [float(np.median(look.focal_px[0] / look.points[:, 2])) for look in looks]
+    factor = max(1, *(round(size * scale / rules.full_px) for scale in px_per_length))
     looks = [look.coarser(factor) for look in looks]
     times_s, seen, attitudes = _instants(looks, shape_s, moments, rules.step_s)
     if len(attitudes) < rules.least_instants:
@@ -179,11 +171,7 @@ def _learned(
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
 ) -> tuple[Array, Seen, Array]:
-    """Gather what is seen at even instants; give attitudes to begin with.
-
-    Their axes are those of the second moments: which of two is the longer, and which way each
-    points, is told later, by neighbours.
-    """
+    """Gather what is seen at even instants, and axes of second moments as first attitudes."""
     step = max(1, round(step_s / float(np.median(np.diff(shape_s)))))
     times_s, moments = shape_s[::step], moments[::step]
     width = max(look.shares.shape[1] for look in looks)
@@ -345,10 +333,10 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
 def registered(
     body: Voxels, seen: Seen, places: IntArray, attitudes: Array, rounds: int
 ) -> tuple[Array, Array]:
-    """Turn the body at m instants, and move each of its drawings, until they are as their images.
+    """Turn the body at m instants, and move its drawings, until they are as their images.
 
-    By rounds of least squares from attitudes (m, 3, 3) on, at places (m,) among the instants. Gives
-    the attitudes, and which share of the images was left (m,), as squares, before the last step.
+    By rounds of least squares from attitudes (m, 3, 3), at places (m,) among the instants; gives
+    attitudes, and the share of the images' squares that was left (m,) before the last step.
     """
     images, corners, points, is_seen, views, focals = seen
     m, c, fine = len(places), images.shape[1], FINE * images.shape[2]
@@ -409,11 +397,7 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations of turns and moves, from `first` on: (5, 5) and (5,).
-
-    Then the squares of what is left of the image, and of all of it. Turns are about the body's
-    axes. The room for work is all zero again.
-    """
+    """Give the normal equations of turns and moves from `first` on; the squares left, and all."""
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -453,10 +437,7 @@ def _normal(
 def _placed(
     voxel: Array, view: View, scale: int, width: int
 ) -> tuple[int, int, float, float, float]:
-    """Give the pixel up and left of a voxel's image, how far down and right of it, and the depth.
-
-    The image has `scale` times as many pixels as the camera's, so many across; row -1: outside.
-    """
+    """Give a voxel's pixel (row -1: outside), how far down and right of it, and the depth."""
     turn, point, focal, corner = view
     x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
     y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
@@ -473,11 +454,7 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
-
-    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
-    first and past the last rows and columns of pixels.
-    """
+    """Add optical depths and their slopes by turns [rad] and moves [px], from `first` on."""
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]

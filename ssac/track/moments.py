@@ -27,14 +27,15 @@ class View:
     points: Array  # (n, 3) of the object, in the camera's frame
     spreads_px2: Array  # (n, 3) second moments xx, xy and yy of its image; NaN: not known
 
-    def by_point(self) -> Array:
-        """Give the derivatives (n, 2, 3) of the image by the object's place, X."""
-        depths = self.points[:, 2]
-        by_local = np.zeros((len(depths), 2, 3))
-        for axis in (0, 1):
-            by_local[:, axis, axis] = self.focal_px[axis] / depths
-            by_local[:, axis, 2] = -self.focal_px[axis] * self.points[:, axis] / depths**2
-        return np.asarray(by_local @ self.R)
+
+def image_by_place(R: Array, focal_px: Array, points: Array) -> Array:
+    """Give the derivatives (n, 2, 3) of points' image by their place X, as of `View`."""
+    depths = points[:, 2]
+    by_local = np.zeros((len(depths), 2, 3))
+    for axis in (0, 1):
+        by_local[:, axis, axis] = focal_px[axis] / depths
+        by_local[:, axis, 2] = -focal_px[axis] * points[:, axis] / depths**2
+    return np.asarray(by_local @ R)
 
 
 def nearest(at_s: Array, times_s: Array) -> tuple[IntArray, Array]:
@@ -51,17 +52,15 @@ def spreads_near(spreads_px2: Array, at_s: Array, times_s: Array, reach_s: float
 
 
 def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
-    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
-
-    NaN where too few views tell them; of the one that two leave open it may be any.
-    """
+    """Find the object's second moments (n, 3, 3) at n even times, smoothed; NaN where not told."""
     n = len(views[0].points)
     normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
     counts = np.zeros(n)
     for view in views:
         seen = np.isfinite(view.spreads_px2).all(axis=1) & (view.points[:, 2] > 0.0)
         counts += seen
-        J = np.where(seen[:, None, None], view.by_point(), 0.0)
+        by_place = image_by_place(view.R, view.focal_px, view.points)
+        J = np.where(seen[:, None, None], by_place, 0.0)
         spreads = np.where(seen[:, None], view.spreads_px2, 0.0)
         for spread, (i, j) in zip(spreads.T, ((0, 0), (0, 1), (1, 1)), strict=True):
             a, b = J[:, i], J[:, j]
@@ -85,10 +84,7 @@ def second_moments(views: list[View], smoothing: float, least_views: int = LEAST
 
 
 def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
-    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
-
-    The moments (n, 3, 3) are in X; shifts are NaN where these are.
-    """
+    """Give the centre of the image's area less that of the object (n, 2) [px], by moments."""
     local = view.R @ moments @ view.R.T
     depths = view.points[:, 2:]
     towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
@@ -96,10 +92,10 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
 
 
 def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
-    """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
+    """Find the second moments (n, 3, 3) of a rigid body from two views, as `second_moments`.
 
-    Two views leave the combination of both rays open. It is looked for at every `step`-th time,
-    such that the body's three deviations stay the same, and that it turns smoothly.
+    They leave one combination open: at every `step`-th time it is such that the body's deviations
+    stay the same, and that it turns smoothly.
     """
     told = second_moments(views, smoothing, least_views=2)
     seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
@@ -144,11 +140,7 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
-
-    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before
-    with such a weight. Gives the choice (m,) and the mean of what it costs.
-    """
+    """Choose at each of m times one of k tensors (m, k, 6) by dynamic programming; its cost too."""
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)
     costs, before = np.zeros(k), np.zeros(k)

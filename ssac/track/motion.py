@@ -52,10 +52,7 @@ class SharpTrack(Track):
 
 
 def motion_of(clean: Clean, how: Windows) -> "Motion":
-    """Sum up a camera's object for sampling at any time (Sec. IV-A).
-
-    Sums over its events are kept with what is clean, as only the border's width changes them.
-    """
+    """Sum up a camera's object for sampling at any time (Sec. IV-A); sums are kept with it."""
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
     if how.border_px not in clean.kept:
@@ -85,9 +82,9 @@ class ObjectMotion:
     border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
     slice_bits: int  # the recording is cut into slices of 2**slice_bits us
     slice_starts: NDArray[np.int32]  # (s + 1,) index of the first event in each slice, then n
-    half_window_s: float  # [s] on each side of a sample time
-    n_min: int  # events a valid sample's window holds at least
-    max_border_fraction: float  # of a valid sample's events may lie on the border
+    half_window_s: float = 0.020  # [s] on each side of a sample time
+    n_min: int = 200  # events a valid sample's window holds at least
+    max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border
     gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as of `Clean`
     bare: "ObjectMotion | None" = None  # without the events where a line holds the object, if so
 
@@ -132,10 +129,7 @@ class ObjectMotion:
         return Track(times_s, positions_px, counts.reshape(shape), valid.reshape(shape))
 
     def centred_at(self, times_s: Array) -> Track:
-        """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
-
-        The mean time is another where a camera was blind. Invalid where there is no velocity.
-        """
+        """Sample as `at` does, and move means to their windows' middle, as for a blind camera."""
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         first, last = (self._indices(times_s, side) for side in (-1, +1))
         origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
@@ -145,10 +139,9 @@ class ObjectMotion:
         return replace(track, positions_px=positions, valid=track.valid & known)
 
     def velocities_at(self, times_s: Array) -> Array:
-        """Image velocity (..., 2) [px/s] at times (...,) [s].
+        """Image velocity (..., 2) [px/s] at times (...,) [s]; NaN when a half window is empty.
 
-        The difference between the mean positions in the two halves of the window, over the
-        difference between their mean times; NaN when a half is empty.
+        Between the mean positions and times of both halves of the window.
         """
         first, middle, last = (self._indices(times_s, side) for side in (-1, 0, +1))
         shift_px = self._mean_positions(middle, last) - self._mean_positions(first, middle)
@@ -203,12 +196,7 @@ class ObjectMotion:
 
 
 def object_motion(
-    events: Events,
-    camera: Camera,
-    half_window_s: float = 0.020,
-    n_min: int = 200,
-    border_px: int = 5,
-    max_border_fraction: float = 0.05,
+    events: Events, camera: Camera, n_min: int = 200, border_px: int = 5
 ) -> ObjectMotion:
     """Prepare the events (n,) of one camera, sorted and denoised, for sampling (Sec. IV-A).
 
@@ -229,8 +217,7 @@ def object_motion(
     border = camera.width, camera.height, border_px
     sums = times_us, position_sums_px, border_sums
     sum_up(events["t"], events["x"], events["y"], ideal, border, slice_bits, *sums, slice_starts)
-    rules = half_window_s, n_min, max_border_fraction
-    return ObjectMotion(*sums, slice_bits, slice_starts, *rules)
+    return ObjectMotion(*sums, slice_bits, slice_starts, n_min=n_min)
 
 
 def _slices(times_us: IntArray) -> tuple[int, int]:
@@ -286,11 +273,7 @@ class PointMotion:
         return self.sharp_at(times_s).velocities_px_s
 
     def sharp_at(self, times_s: Array) -> SharpTrack:
-        """Sample the track and its velocity at times (...,) [s].
-
-        The sizes are in proportion to the deviations of the points there, so that methods, which
-        weigh by the inverse of the size, weigh well.
-        """
+        """Sample track and velocity at times (...,) [s]; sizes are as points' deviations there."""
         positions, velocities, sigmas, counts = local_parabolas_at(
             self.times_s,
             self.points_px,
@@ -324,10 +307,8 @@ def point_motion(
 ) -> PointMotion:
     """Prepare the points of one camera, in time order, for sampling.
 
-    Distortion is removed; points that the lens model cannot undistort are left out. With a rolling
-    shutter, each point was seen `readout_s` times its row's share of the height later. Windows of
-    local parabolas are longer where `half_window_s` [s] holds fewer than five points. SsacError,
-    which starts with what the track is, if the readout is longer than from one frame to the next.
+    Distortion is removed; points that the lens model cannot undistort are left out, and those of a
+    rolling shutter are later by its readout times their row's share. Windows hold five points.
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0

@@ -102,10 +102,6 @@ LONGER = r"1000 of 4000 events \(25 %\) are left out"  # of the two parts the lo
     [
         (slice(3000, None), "t", -900_000, BREAKS, LONGER),
         (slice(3000, None), "t", 10**13, BREAKS, LONGER),
-        # Parts that follow each other are joined.
-        (slice(1000, 1100), "t", -700_000, BREAKS, "100 of 4000 events"),
-        (slice(1000, 1100), "t", 700_000, BREAKS, "100 of 4000 events"),
-        (slice(1000, 1100), "t", 10**13, BREAKS, "100 of 4000 events"),
         (slice(7, 8), "x", 60_000, "there is an event at x = 60", "1 of 4000 events lie outside"),
     ],
 )

@@ -16,7 +16,7 @@ from ssac.network.solve import NetworkAnswer, answer_of, path_at
 from ssac.network.state import BEHIND, CameraState
 from ssac.points import PointTrack
 from ssac.rules import BodyRules
-from ssac.track.moments import View, perspective_shifts
+from ssac.track.moments import View, image_by_place, perspective_shifts
 from tests.ssac.network.flights import CAMERA, RULES, Flight, make_flight, seen_by
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])
@@ -225,7 +225,8 @@ def shaped(n_cameras: int) -> Flight:
         R, t = flight.poses[k]
         points = flight.path(times_s) @ R.T + t
         view = View(R, np.diag(CAMERA.K)[:2], points, np.empty((0, 3)))
-        J, moments = view.by_point(), np.tile(MOMENTS_M2, (len(times_s), 1, 1))
+        J = image_by_place(view.R, view.focal_px, view.points)
+        moments = np.tile(MOMENTS_M2, (len(times_s), 1, 1))
         images = J @ moments @ J.transpose(0, 2, 1)
         spreads = np.column_stack([images[:, 0, 0], images[:, 0, 1], images[:, 1, 1]])
         shifts = perspective_shifts(view, moments, BodyRules.depth_power)
