@@ -187,7 +187,9 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
         return np.asarray(node.mat(), dtype=np.float64)
 
     def camera(i: int) -> Camera:
-        K, coeffs, size = matrix(f"K{i}"), matrix(f"D{i}").ravel(), storage.getNode("size")
+        of_sample = f"M{i}"  # as OpenCV's own sample of a stereo calibration writes it
+        K = matrix(f"K{i}" if storage.getNode(of_sample).empty() else of_sample)
+        coeffs, size = matrix(f"D{i}").ravel(), storage.getNode("size")
         if not (size.isSeq() and size.size() == 2):
             raise SsacError(f"{path}: the image size is missing: add `size: [ width, height ]`")
         sides = [size.at(axis).real() for axis in range(2)]

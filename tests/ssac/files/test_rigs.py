@@ -1,5 +1,7 @@
 """Rigs as Kalibr and OpenCV write them: what is read of them, and what is refused."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -187,8 +189,10 @@ def _write_opencv(path, coeffs=(-0.3, 0.1, 0.0, 0.0, 0.02), **more):
 POSE = {"R": R, "T": T[:, None]}
 
 
-def test_opencv_stereo(tmp_path):
+@pytest.mark.parametrize("letter", "KM")
+def test_opencv_stereo(tmp_path, letter):
     path = _write_opencv(tmp_path / "stereo.yml", **POSE)
+    path.write_text(re.sub(r"^K(?=\d:)", letter, path.read_text(), flags=re.MULTILINE))
     rig = load_rig(path)
     for camera in (rig.cam1, rig.cam2):
         np.testing.assert_array_equal(camera.K, K)
