@@ -40,7 +40,7 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
 BASE, N_RECORDINGS = 100, 90
-"""No choice was made on flights of this base."""
+"""On flights of this base one choice was made: to filter less where noise may explain a refusal."""
 
 UNASKED = "default"
 SPARED = "spared"
