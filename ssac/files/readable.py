@@ -19,7 +19,10 @@ def check_is_file(path: Path) -> None:
 
 @contextmanager
 def readable(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises, panics too, into an SsacError: the file is not `kind`."""
+    """Turn whatever a library raises in the block into one SsacError: panics are no Exception.
+
+    `kind` is what the file is to be: "a readable HDF5 file".
+    """
     try:
         yield
     except _OURS:

@@ -49,7 +49,8 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary name in the same folder to write to; rename it to `path` at the end.
 
-    If the block fails, whatever was at `path` stays. WriteError if it cannot be written.
+    If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
+    WriteError, which names `path`, if it cannot be written, as on a full disk.
     """
     temporary = temporary_path(path)
     try:
@@ -112,7 +113,10 @@ def temporary_path(path: Path) -> Path:
 
 
 def is_left_over(path: Path) -> bool:
-    """Say whether a path is a temporary one whose process on this host ended, or a day old."""
+    """Say whether a path is a temporary one of ours that nobody writes to any more.
+
+    Of this host's processes that is one that has ended; of others, nothing is known but the time.
+    """
     made = _MADE.fullmatch(path.name)
     if made is None:
         return False

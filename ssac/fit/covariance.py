@@ -46,14 +46,19 @@ def correlated_covariance(
 ) -> Array:
     """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
-    Times [s] are of one series after another, each ascending; `jacobian` (n, p) has the residuals'
-    derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the loss's derivatives.
-    `prior_deviations` (p,) are PRIOR when None; `prior_scales_px` (p,) say what one deviation
-    counted as in the fit: a residual independent of the others where NaN or None. What the series'
+    Times [s] of the residuals are of one series after another, each ascending; `jacobian` (n, p)
+    has their derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
+    derivatives of the loss. Of what is known of each parameter beside the data, `prior_deviations`
+    (p,) are PRIOR when None; `prior_scales_px` (p,) say what one deviation counted as in the fit: a
+    residual that is independent of the others where NaN, and everywhere when None. What the series'
     errors have in common counts for the parameters at the places `common` (c,), the first when
-    None, and may lessen the first one's variance if it `lessens`. Kinds (n,), from 0 on, one a
-    series, tell errors of other processes apart. Where `cautious`, a short time has no more degrees
-    of freedom than fading times of the slowest errors, few of which it shows.
+    None, and may lessen the first one's variance, too, if it `lessens`.
+
+    Kinds (n,), from 0 on, tell residuals whose errors are of another process apart; those of one
+    series are of one kind. All are when None.
+
+    A short time shows few of the slowest errors, and by chance none: where `cautious`, it has no
+    more degrees of freedom than fading times of these.
     """
     n, p = jacobian.shape
     curvature = mean_curvature(curvatures, rules)
@@ -105,7 +110,8 @@ def mean_curvature(curvatures: Array, rules: FitRules) -> float:
 def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
     """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions.
 
-    A direction that is hardly curved, or downwards by chance, has a share of the mean curvature.
+    A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
+    were curved a little: by a share of the mean curvature.
     """
     shares, axes = np.linalg.eigh(bread)
     return np.asarray(axes / np.maximum(shares, rules.least_curvature * curvature) @ axes.T)

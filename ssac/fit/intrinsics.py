@@ -51,7 +51,8 @@ def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
 class Allowance:
     """What a refinement allows for, once a fit has told what the priors weigh.
 
-    Until then a clock's weigh as if residuals were independent, and intrinsics are exact.
+    Until then a clock's priors weigh as if all residuals were independent, and intrinsics are
+    exact.
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
@@ -63,7 +64,8 @@ class Allowance:
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take from a fit, whose loss turns where the last one's will, what priors weigh.
 
-        A skew's weighs against what the residuals tell of it, others by how independent these are.
+        A skew's weighs against what the residuals tell of that very parameter, of others, of which
+        they tell next to nothing, by how many residuals tell as much as an independent one.
         """
         if self.is_made:
             return
@@ -109,7 +111,8 @@ def columns_of(problem: Problem) -> tuple[Column, ...]:
 def moves_of(camera: Camera, points_px: Array) -> Array:
     """Give how ideal points (n, 2) move for a value of one of fu, fv, pu, pv: (4, n, 2) [px].
 
-    A measured pixel m = c + f d(r) stays: r changes by -(f J)^-1 (dc + df d(r)), J = dd/dr.
+    A measured pixel m = c + f d(r) stays where it is: so the ray r changes by
+    -(f J)^-1 (dc + df d(r)), with the lens's derivative J = dd/dr.
     """
     centre, focal = camera.K[:2, 2], np.diag(camera.K)[:2]
     measured = distort_points(camera, points_px)
@@ -147,9 +150,10 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
 def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[float, float]:
     """Give how much speaks against a rig's intrinsics, and how far off those are that fit best.
 
-    For the worst combination that the views tell, the second is the value that fits best by itself,
-    in the rig's deviations, and the first its ratio to the rig's and the fit's deviation together.
-    Both are 0 without uncertain ones, and with a known pose, whose bias speaks as loud.
+    Of each combination that the views tell, the value that fits best by itself is the second, in
+    deviations of the rig; the first is its ratio to its own deviation, the rig's and that of the
+    fit together. Both are 0 without what `Allowance` adds, and with a known pose, whose bias speaks
+    as loud. Hidden errors are as for `Residuals.hidden_covariance`.
     """
     problem, worst = residuals.problem, (0.0, 0.0)
     n = problem.n_of_cameras

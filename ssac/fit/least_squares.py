@@ -168,7 +168,10 @@ class Residuals:
         )
 
     def hidden_covariance(self, errors_px: Array) -> Array:
-        """Covariance (f, f) of errors that no residual shows: of each a column of `errors_px`."""
+        """Covariance (f, f) of the free parameters, of errors that no residual shows.
+
+        One deviation of each error changes the distances by its column of `errors_px` (n, m).
+        """
         system = self.free
         if self.problem.priors:
             rows = self._prior_rows()[:, self.problem.free]
@@ -180,7 +183,8 @@ class Residuals:
     def fair_scales(self) -> Array:
         """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
 
-        Then priors and data, whose errors are correlated, share in a parameter by their variances.
+        With these scales a prior and the data, whose errors are correlated, share in a parameter by
+        their variances. The problem's own priors do not count.
         """
         plain = replace(self, problem=replace(self.problem, priors=()))
         variances, rules = np.diag(plain.covariance()), self.problem.rules
@@ -256,7 +260,8 @@ def solve(
 ) -> Solution:
     """Minimise Cauchy's loss by Gauss-Newton steps; columns that the start lacks begin at zero.
 
-    A step whose norm is below `last_step` ends the iteration; at 0 all steps are made.
+    A step whose norm [s, rad, and the columns' units] is below `last_step` ends the iteration; at 0
+    all steps are made.
     """
     columns = np.zeros(len(problem.columns))
     kept = start.columns[: len(columns)]

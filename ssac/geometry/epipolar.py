@@ -25,7 +25,10 @@ def robust_deviation(residuals: Array) -> float:
 
 
 def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:
-    """Cauchy's loss, which turns at `turn` deviations: first derivative over residual, second."""
+    """First derivative over residual, and second derivative, of Cauchy's loss: both (n,).
+
+    The loss turns `turn` robust standard deviations from zero.
+    """
     deviation = robust_deviation(residuals) + 1e-12  # of residuals that are all zero
     squares = (residuals / (turn * deviation)) ** 2
     return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2
@@ -73,7 +76,10 @@ def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
 
 
 def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:
-    """p2' F p1, F p1 and F' p2 (two coordinates each), of arrays or of a kernel's numbers."""
+    """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
+
+    For arrays and, compiled, for kernels; f has the nine entries of F, row by row.
+    """
     a2 = f[0] * u1 + f[1] * v1 + f[2]
     b2 = f[3] * u1 + f[4] * v1 + f[5]
     a1 = f[0] * u2 + f[3] * v2 + f[6]

@@ -22,9 +22,9 @@ _BLOCK = 64  # pairs counted between two looks at the count: enough for vector i
 
 @numba.njit(cache=True)
 def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
-    """F (rank 3) of the eight pairs with the least median squared Sampson distance.
+    """F (rank 3) of the subset of eight pairs with the least median squared Sampson distance.
 
-    One subset per row of `uniform` (trials, 8) in [0, 1), without repetition after Floyd.
+    One subset per row of `uniform` (trials, 8), numbers in [0, 1), without repetition after Floyd.
     """
     n = x1.shape[1]
     middle = n // 2
@@ -74,7 +74,10 @@ def in_blocks(x1: Array, x2: Array) -> Array:
 
 @numba.njit(cache=True)
 def count_near(limit: float, F: Array, n: int, blocks: Array, most: int) -> int:
-    """Count pairs of `in_blocks` below a squared distance; stop once it cannot exceed `most`."""
+    """Count the n pairs of `in_blocks` with a squared Sampson distance below the limit.
+
+    Stops, at up to `most`, where the pairs left cannot bring the count above it.
+    """
     f = _entries(F)
     count, left = 0, n
     for b in range(len(blocks)):
@@ -192,7 +195,10 @@ def lmeds_fundamental(p1_px: Array, p2_px: Array, trials: int, seed: int = 0) ->
 
 
 def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
-    """F as of `lmeds_fundamental`, from the eight-point algorithm: cheaper, for few outliers."""
+    """F by the eight-point algorithm, then reweighted least squares: cheaper, for few outliers.
+
+    Pairs and result as for `lmeds_fundamental`.
+    """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):  # an object at rest
         return np.full((3, 3), np.nan)
@@ -201,7 +207,10 @@ def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
 
 @numba.njit(cache=True, error_model="numpy")
 def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
-    """Median Sampson distance [px] of pairs (n, 2) from the F of a few reweighted fits."""
+    """Median Sampson distance [px] of pairs (n, 2) from the F that fits most of them.
+
+    As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
+    """
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, np.zeros((3, 3)), iterations)
     squares, _ = sampson(F, x1, x2)
@@ -210,10 +219,11 @@ def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
 
 
 def second_best(p1_px: Array, p2_px: Array) -> float:
-    """How many times worse than the best F the one least like it fits the pairs.
+    """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
 
     The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
-    leave F open, as those of a planar path do; 1 when they allow none.
+    leave F open, as those of a planar path do; 1 when they allow none, as those of an object at
+    rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):
@@ -228,7 +238,10 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
 
 
 def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Array:
-    """F of the essential matrix that OpenCV's MAGSAC++ finds; NaN when it finds none."""
+    """F of the essential matrix that OpenCV's MAGSAC++ finds, with the help of the intrinsics.
+
+    NaN when it finds none.
+    """
     focal_px = np.sqrt(K1[0, 0] * K2[0, 0])
     x1, x2 = (cv2.undistortPoints(p[:, None], K, None)[:, 0] for p, K in ((p1_px, K1), (p2_px, K2)))
     E, _ = cv2.findEssentialMat(x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, 1.0 / focal_px)

@@ -31,7 +31,11 @@ class RelativePose:
 def pose_from_fundamental(
     F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array
 ) -> RelativePose:
-    """Decompose F, with E's singular values made equal; take the pose with most points in front."""
+    """Decompose F, and choose the pose for which most points lie in front of both cameras.
+
+    A share `in_front` far from 1 says that pairs disagree about the pose. It is that of the closest
+    true essential matrix: E's two singular values are made equal.
+    """
     U, _, Vt = np.linalg.svd(epipolar.essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     rays1, rays2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
@@ -47,10 +51,11 @@ def pose_from_fundamental(
 def nearest_pose(
     pose: RelativePose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array
 ) -> RelativePose:
-    """Move a pose to where its Sampson distances are nearest to F's, by least squares.
+    """Move a pose to where its epipolar geometry is nearest to F's, in pixels at the pairs.
 
-    F has two degrees of freedom more, and noise far from even over its entries, all of which
-    `pose_from_fundamental` weighs alike.
+    F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
+    from even over its entries, and `pose_from_fundamental` weighs them all alike; here the mean
+    squared difference between the Sampson distances under the pose and under F is made least.
     """
 
     def distances_at(R: Array, t: Array) -> Array:
@@ -73,7 +78,10 @@ def nearest_pose(
 def pose_jacobian(
     R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
 ) -> Array:
-    """Differentiate Sampson distances by a small change of the pose: (N, 5) [px/rad]."""
+    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad].
+
+    F is that of the pose, where it is known already.
+    """
     F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]
@@ -113,9 +121,10 @@ def tangent_basis(t: Array) -> Array:
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
-    """Depths (N,) along rays (N, 3), z = 1, in units of t, where they pass closest to each other.
+    """Depths along rays of the points where they pass closest to each other.
 
-    Negative behind the camera, infinite or NaN for parallel rays.
+    Rays (N, 3) have z = 1 in each camera's own frame; depths (N,) in camera 1 and camera 2 are in
+    units of t, negative behind the camera, infinite or NaN for parallel rays.
     """
     turned = rays1 @ R.T
     normals = np.cross(turned, rays2)
@@ -167,7 +176,8 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
 def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     """Median distance of rays (n, 3) from the homography between them, and its poses.
 
-    By Ma et al., An Invitation to 3-D Vision, 5.3.3: OpenCV has cameras on one side of the plane.
+    The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, as OpenCV's
+    takes both cameras to be on the same side of the plane.
     """
     found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
     if found is None:

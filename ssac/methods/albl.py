@@ -78,10 +78,13 @@ class _Agreement:
 def albl_of_views(views: TwoViews) -> Estimate:
     """Time offset and relative pose by the iterated solver; it may stop at a local optimum.
 
-    Deviation from Albl et al.: with no rough offset, it starts where a first RANSAC, all over the
-    interval, finds most inliers. Tracks are sampled at any time, so the shift is not rounded to
-    frames; it is polished in b over all inliers, and two more rounds follow, as all pairs may be
-    inliers some milliseconds off. They do not say when to distrust the result.
+    Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
+    iteration starts where a first RANSAC finds most inliers, of offsets all over the search
+    interval that do not depend on where this lies. Their image tracks are sampled per frame, ours
+    at any time, so the shift is not rounded to frames; RANSAC's solution is polished by a search in
+    b for the least singular value of the same equations over all its inliers; and two more rounds
+    of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
+    milliseconds off. They do not say when to distrust the result.
     """
     rules, min_pairs = views.rules.albl, views.rules.search.min_pairs
     usable_s = candidate_offsets(views)

@@ -211,8 +211,10 @@ def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
 def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Estimate:
     """Refuse a refined estimate where camera 2's clock jumps, by the residuals of its solution.
 
-    A step of the offset is tried at every second, as one more column, so that neither pose nor skew
-    hides it; the best is solved for, and moved to where the later offset begins to fit better.
+    A step of the offset is tried at every second: one more column of the same least squares, so
+    that neither the pose nor the skew, which a jump bends as well, hides it. Where the best one is
+    beyond chance it is solved for, and moved to the instant from which on the later offset fits
+    better.
     """
     rules = model.rules
     problem, start = replace(last.problem, turn=CAUCHY), last.parameters  # a jump is no outlier
@@ -291,9 +293,11 @@ def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRul
 
 
 def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
-    """Search anew with other skews, where the prior allows for ones that matter; take the best fit.
+    """Search anew with other skews, where the prior allows for ones that matter.
 
-    Over a long recording no one offset fits both ends: skews tried differ by little there.
+    Where clocks may differ by far, over a long recording, no one offset fits both of its ends. So
+    the search, whose start had clocks alike, is repeated with skews so near to each other that the
+    ends differ by little. Of all the one that fits best is given, or the start where none does.
     """
     first_s, last_s = _common_s(start, views)
     half_s, t_ref_s = 0.5 * (last_s - first_s), 0.5 * (first_s + last_s)

@@ -92,7 +92,9 @@ def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
 def event_rate_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the product of the event rates is largest.
 
-    As the paper describes it: counts in 1 ms, less their means, and normalised once for all lags.
+    As the paper describes the method: events are counted over fixed intervals in both streams, and
+    the counts, without their means, are correlated. Unlike `zncc_e` the correlation is normalised
+    once for the whole recordings, not for the overlap at each lag, and the intervals are 1 ms.
     """
     bin_s = config.rules.signals.rate_bin_s
     signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]
@@ -114,8 +116,10 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
 
 @method("zncc_e", "correlation of event rates, offset only", place=8, input=Input.RATES)
 def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
-    """Time offset at which both cameras' event rates correlate best (Perot et al., 2020).
+    """Time offset as the lag at which the event rates of both cameras correlate best.
 
+    After Perot et al. (2020), as the paper uses it: the number of events in bins, and the lag with
+    the highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
     """
     bin_s = config.rules.signals.zncc_bin_s
@@ -139,9 +143,11 @@ def _most_alike(method: str, signals: list[Signal], bin_s: float, config: Config
 def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the brightness of both cameras' frames is most alike.
 
-    After Perot et al. (2020), as the paper uses it, on one grid of 20 ms in both clocks.
-    Deviation: the paper does not say which number of a frame; the mean brightness is nearest to
-    its errors at all angles (docs/methods.md).
+    After Perot et al. (2020), as the paper uses it: one number per frame, and the lag with the
+    highest zero-normalised cross-correlation in the search interval.
+    Deviation: the paper does not say which number; here it is the mean brightness, whose errors
+    are nearest to the paper's at all angles (docs/methods.md). Frames are put on one grid of 20 ms
+    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
     """
     frame_s, signals = config.rules.signals.frame_s, []
     for seen in (one, other):

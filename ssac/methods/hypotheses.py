@@ -88,9 +88,10 @@ class Choice:
     by_own_pairs: bool = False  # the distance that counts is of what is refined, else of positions
 
     def settled(self, start: Estimate) -> Estimate:
-        """Refine an estimate and all that is in question beside it; the best, or the start of none.
+        """Refine an estimate, and all that is in question beside it, and choose the best.
 
-        Its own covariance is judged later, by `ssac.methods.verdict.certain`.
+        The start is given back when nothing can be made of it. The result is not judged by its own
+        covariance yet, which is for `ssac.methods.verdict.certain`.
         """
         if start.status == Status.OK:
             start = self.refine(start, self.views)
@@ -115,7 +116,8 @@ class Choice:
     def confirmed(self, estimate: Estimate, start: Estimate) -> Estimate:
         """Keep to the search's refusal where the failure of all other hypotheses says little.
 
-        On a circle, or along a valley without an end, others may fit that no hypothesis led to.
+        On a circle F is open at any offset, so that other poses may fit that no hypothesis led to;
+        and so they may all along a valley without an end. The start is of the search.
         """
         views = self.views
         is_searched = start.status == Status.AMBIGUOUS_OFFSET and not views.pose_is_known
@@ -131,7 +133,10 @@ class Choice:
         return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
 
     def hypotheses(self, start: Estimate) -> list[Estimate]:
-        """Give what is in question beside an estimate: of one refined, other poses of a plane."""
+        """Offsets and poses that are in question beside an estimate; none where none is.
+
+        Of one that is "ok" and refined: the other poses of the plane in which the path may lie.
+        """
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
             return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)

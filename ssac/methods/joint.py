@@ -36,7 +36,10 @@ from ssac.track.motion import SharpTrack
     of_one_object=True,
 )
 def joint_from(start: Estimate, views: TwoViews) -> Estimate:
-    """Refine offset and pose, or the offset alone where the pose is known, from a search's."""
+    """Refine offset and pose together, or the offset alone where the pose is known.
+
+    The start is what Algorithm 2, or Algorithm 1 with a known pose, found of the same views.
+    """
     name = "joint-known" if views.pose_is_known else "joint"
     start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)
@@ -45,9 +48,10 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
-    """Minimise Cauchy's loss of the Sampson distances, from a start that is "ok"; others stay.
+    """Minimise Cauchy's loss of the Sampson distances, from an offset and a pose.
 
-    With a known pose only t_d is refined, and there is no `covariance`.
+    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
+    is a `t_d_std_s` but no `covariance`.
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
@@ -107,7 +111,10 @@ class _OfPositions(Refinement):
 
 
 def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:
-    """Pair two tracks where both are valid, by the inverse of the images' size; its median [px]."""
+    """Pair two tracks, sampled at the same N instants, where both are valid.
+
+    Pairs are weighed by the inverse of the images' size, whose median [px] is the second result.
+    """
     valid = track1.valid & track2.valid
     sizes_px = np.hypot(track1.sizes_px[valid], track2.sizes_px[valid]) + 1e-12
     size_px = float(np.median(sizes_px)) if len(sizes_px) else 0.0

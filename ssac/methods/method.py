@@ -89,7 +89,10 @@ class Method:
     def lacks(
         self, seen: Sequence[tuple[str, bool]], rig: "Rig", rig_name: str, config: "Config"
     ) -> str:
-        """Say what it lacks to run; empty when it can. `seen`: names, and which gave a track."""
+        """Say what the method lacks to run at all; empty when it can.
+
+        Of both cameras, `seen` has a name, and whether it gave a track of points.
+        """
         for name, has_track in seen:
             if has_track and self.without_tracks:
                 return f"{name}: is a track of points; {self.without_tracks}"

@@ -175,8 +175,9 @@ def smooth_errors(
 ) -> Array:
     """Give what each part of a bias in both views, one deviation of it, does to distances: (n, 12).
 
-    Where on the object its place is taken to be changes smoothly over the image, as by a change of
-    pose: no residual shows it. Parts (3,) are shares of the object's size, by x / z, y / z and 1.
+    Where on the object its place is taken to be changes smoothly with the image position, which a
+    change of pose can take away, so that no residual shows it. The bias's parts (3,) are shares of
+    the object's size: per unit of x / z and y / z, and anywhere. Distances are not weighed.
     """
     parts = []
     for F_there, there, here, K in (

@@ -38,7 +38,10 @@ class _Shape:
 
 
 def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
-    """Follow a point of the body in both views, about where an estimate has it; or say why not."""
+    """Follow one point of the body in both views, about where an offset and a pose put it.
+
+    A sentence says why there is none; it is empty where nothing could be tried.
+    """
     if views.cleans is None or found.R is None or found.t is None:
         return ""
     start_s, end_s = views.common_s(found.t_d_s)

@@ -38,7 +38,8 @@ TangencyConfig = TangencyRules  # as studies of its variants call it
 def for_blind(views: TwoViews) -> TwoViews:
     """Look for the outline in a way that bears a camera that is blind now and then, if one is.
 
-    There, events' mean time is not the window's middle; a rough window were blind on one side.
+    The mean of a window's events then has another time than the window's middle, and the course
+    about which tangents are found would go to and fro. A rough window would be blind on one side.
     """
     if not any(map(len, views.alone.blind_us)):
         return views
@@ -61,9 +62,10 @@ def tangents_under(
     times_s: Array,
     near: list[list[OutlineEvents]] | None = None,
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
-    """Find and pair the tangents of both views under an offset and a pose, at even times (n,) [s].
+    """Find and pair the tangents of both views under an offset and a pose.
 
-    The events near each outline, which are given back, may be of a call with similar parameters.
+    Times (n,) [s] are even, of camera 1's clock. The events near each view's outline may be those
+    of an earlier call with parameters like these; they are found anew when None, and given back.
     """
     rig, rules = views.rig, views.rules.tangency
     clocks_s = times_s, views.on_clock_2(times_s, parameters.t_d_s)
@@ -95,7 +97,10 @@ def tangent_pairs(
     t_d_s: float,
     config: TangencyRules,
 ) -> WeighedPairs:
-    """Pair valid tangents of each side, at n instants, by the inverse of both outlines' blur."""
+    """Pair the tangents of each side, sampled `t_d_s` apart at n instants, where both are valid.
+
+    Their weights are the inverse of the error that the blur of both outlines lets one expect.
+    """
     if not config.apart:
         view1, view2 = [_midway(*view1)], [_midway(*view2)]
     parts = []
@@ -138,9 +143,12 @@ def is_tiny(views: TwoViews) -> bool:
 def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     """Time offset and relative pose from epipolar tangents, or the offset alone of a known pose.
 
-    Where `joint` refuses, tangents are tried from its search, as events' mean may be too uncertain
-    and still a start; the mean of a tiny object's is better. Last, one point of a rigid body joins
-    where both silhouettes tell one; `n_samples` and `d_avg_px` are of the pairs of tangents.
+    The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
+    for the tangents: where `joint` refuses, they are tried from the search that it started from.
+    The mean of a tiny object's events is better than its outline: there the start is the answer.
+
+    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one. The
+    start is of `joint_from`; `n_samples` and `d_avg_px` are of the pairs of tangents.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search, rules = start.start, views.rules.verdict
@@ -170,7 +178,10 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
-    """Join tangents with a rigid body's point; where it contradicts, deviations become as wide."""
+    """Join tangents with the pairs of one point of a rigid body, where both views show one.
+
+    Where the body contradicts what was found, deviations become as wide as the contradiction.
+    """
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
         return found
@@ -266,8 +277,10 @@ class _OfTangents(Refinement):
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
         """Give what errors that last all along do to the residuals: (n, 1 or 2), 13 more of a body.
 
-        Outlines are off by as many pixels in both views, as sensors alike see them; a free pose may
-        take that away, where the nearer view changes. Where it is known: upper, or lower, tangents.
+        Outlines are off, where the pose is free, by as many pixels in both views, as sensors that
+        are alike see them. That is another angle of the planes in the view that is nearer, and
+        where which one is changes, a pose takes it away; errors in proportion to the image's size
+        cancel. Where the pose is known, which cannot take them away: upper, or lower, tangents.
         """
         pairs, rules = residuals.problem.pairs, self.rules.tangency
         of_body = np.zeros(len(pairs.times_s), bool) if pairs.kinds is None else pairs.kinds == 1

@@ -60,7 +60,9 @@ _OF_SEARCH = ("n_samples", "d_avg_px", "candidates_s", "costs")
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
     """Give the reason why there is no reliable offset, without the pose and clock that were found.
 
-    With "ambiguous_offset" and other single valleys the offset stays, and theirs are alternatives.
+    F and the cost curve stay, for drawings of what was compared. With status "ambiguous_offset" the
+    estimate keeps its offset when the cost curve has other single valleys, whose offsets go to
+    `alternatives_s`.
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
@@ -77,9 +79,12 @@ def doubt(
     against_intrinsics: float = 0.0,
     misfit: str = "",
 ) -> str:
-    """Say what is not ordinary in a fit's last step, by weighed distances (n,); empty when all is.
+    """Say what is not ordinary in a fit's last step; empty when all is.
 
-    Of one object most pairs lie near their epipolar lines, for its size, and others not far beyond.
+    Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
+    few others not far beyond. A second moving thing pulls the positions away for a while: then
+    those others lie far out, or all do. Distances (n,) are weighed; what speaks against the
+    intrinsics, and how they misfit, is said by `ssac.fit.intrinsics`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -178,9 +183,10 @@ def quantum_s(camera: Observation) -> float:
 
 
 def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
-    """Widen the offset's deviation by what the rounding of times, by steps q, may shift it.
+    """Widen the offset's deviation by what the rounding of times may shift it.
 
-    Truncated ones are late by q / 2: +-1.96 deviations of an even law of width q hold both.
+    Times cut off below a step of q are late by q / 2 on average, rounded ones are not: +-1.96
+    deviations of an even distribution of width q hold both.
     """
     return widened(estimate, sum(step_s**2 for step_s in quanta_s) / 12.0)
 

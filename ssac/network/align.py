@@ -127,7 +127,8 @@ def interpolated(path: Path) -> InTime:
 def smoothed(path: Path) -> InTime:
     """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
 
-    Between noisy points interpolation halves the noise, and a shift would be drawn to there.
+    A shift that is sought on points with noise would go half-way between them, where interpolation
+    takes the mean of two and so half of the noise: 10 ms of a path at 50 Hz.
     """
     best, least = None, np.inf
     for n in RULES.points_per_knot:
@@ -180,7 +181,11 @@ def _best_shifts_s(
 
 
 def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Array]:
-    """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common."""
+    """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
+
+    Umeyama's similarity needs means, variances and the covariance of what both even paths have in
+    common: correlations of the paths, and of what is seen of them, 0 where nothing is.
+    """
     rows_e, rows_t = _moments(estimate), _moments(truth)
     n_e, n_t = rows_e.shape[1], rows_t.shape[1]
     size = next_fast_len(n_e + n_t - 1, real=True)
@@ -257,9 +262,11 @@ def best_shift(
 ) -> tuple[Clock, Similarity]:
     """Find the clock and the frame of the truth as the estimate sees them.
 
-    Shifts are tried up to a bound either way, or all that leave common time; a rate's prior of 0
-    means clocks alike. `clock.cam2_from_cam1` takes the estimate's times to the truth's clock, the
-    similarity its positions. SsacError if they share too little time, or do not move enough.
+    Each path may begin and end where it likes and have gaps. Shifts are tried up to a bound, to
+    both sides, or all that leave enough common time; the prior of the rate is 0 where clocks run
+    alike. `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
+    the middle of the common time; the similarity takes positions to the truth's frame. SsacError if
+    the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate), None, -np.inf
     for shift_s in _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale):

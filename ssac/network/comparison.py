@@ -99,8 +99,10 @@ def compare(
 ) -> Comparison:
     """Compare an estimated path with a true one, each in a frame and on a clock of its own.
 
-    As shapes alone where one has no times. Scale, shift and rate are as of `best_shift`; the lever
-    arm is where the truth's antenna is in the body (forward, left, up), and needs its attitude.
+    Where one has no times they are compared as shapes. Scale, shift and rate are as of
+    `ssac.network.align.best_shift`; the lever arm is where the truth's antenna is in the body
+    (forward, left, up), and needs its attitude. SsacError if that is missing, or they share too
+    little time or do not move enough.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
         if len(path) < 3:
@@ -163,7 +165,10 @@ def _shape(truth: Path) -> Array:
 def registered(
     source: Array, target: Array, start: Similarity | None, with_scale: bool
 ) -> tuple[Similarity, Array]:
-    """Register points (n, 3) [m] to dense ones, from a start or main axes; and distances (n,)."""
+    """Register points (n, 3) [m] to dense ones; give the distance (n,) [m] of each point too.
+
+    Without a start the middles, sizes and main axes of whole flights agree at first.
+    """
     tree = KDTree(target)
     thin = source[:: max(1, len(source) // 2000)]  # enough while it is moved
     starts = [start] if start is not None else [*_by_main_axes(source, target, with_scale)]

@@ -58,7 +58,11 @@ def ground_of_rtk(
     rules: GroundRules,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Ground:
-    """Lay the path of a network over one of RTK on a clock of its own, perhaps with a lever arm."""
+    """Lay the path of a network over one of RTK, whose clock is free.
+
+    With a lever arm, the place of the antenna in the body (forward, left, up), the file has the
+    attitude, and the path is of the body's origin. SsacError if the file is of another flight.
+    """
     path, rtk = answer.paths[0].path, read_path(file)
     std_ppm = rules.rtk_rate_std_ppm
     found = compare(path, rtk, rate_std_ppm=std_ppm, lever_arm_m=lever_arm_m).in_time

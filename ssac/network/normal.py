@@ -54,9 +54,10 @@ def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
 
 
 def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[IntArray, Array]:
-    """Evaluate the splines that are not zero at times (n,), or derivatives: de Boor's recursion.
+    """Evaluate the splines that are not zero at times (n,): de Boor's recursion.
 
-    Gives the first of four neighbouring coefficients (n,), and what each counts (n, 4).
+    Gives the first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
+    derivative of that order, up to 3 [1/s^derivative].
     """
     m = len(knots_s) - ORDER
     span = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, ORDER - 1, m - 1)

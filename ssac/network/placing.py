@@ -21,9 +21,10 @@ from ssac.rules import NetworkRules
 def triangulate(
     states: list[CameraState], cameras: list[Sightings], times_s: Array, rules: NetworkRules
 ) -> Array:
-    """Give the points (n, 3) nearest to all rays at the network's times (n,); else NaN.
+    """Give the points (n, 3) that at least two cameras see at the network's times (n,); else NaN.
 
-    In front of two cameras at least, near their rays, and these apart; what is far off is left out.
+    The point nearest to all rays; it must be in front of two cameras at least, near their rays,
+    and these apart. A ray that is far off is left out once.
     """
     rays = np.stack(
         [

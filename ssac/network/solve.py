@@ -206,7 +206,8 @@ def solve_network(
 ) -> NetworkAnswer:
     """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
-    What pairs (a, b), a < b, tell may be wrong or missing; the distance is of the first two.
+    What their pairs (a, b), a < b, tell may be wrong or missing for some. The prior is the
+    deviation of the clocks' skews, the distance that between the first two cameras of each group.
     """
     listed, built_all = list(cameras), list[Built]()
     priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]

@@ -46,9 +46,11 @@ class Path:
 
 
 def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
-    """Read a path, TUM or comma-separated: `t x y z qx qy qz qw`, `t x y z`, `x y z` or columns.
+    """Read a path, TUM or comma-separated.
 
-    SsacError if it is missing, no numbers, not in time order, or of latitude and longitude.
+    Rows are `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
+    names its columns in its first line. SsacError, which names the file, if it is missing, is not
+    of numbers, is not in time order, or has degrees of latitude and longitude.
     """
     file = pathlib.Path(file)
     check_is_file(file)

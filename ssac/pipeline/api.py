@@ -77,7 +77,10 @@ class Result:
         return save_figures(path, material_of(self.answer))
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write an HTML page that needs no other file, with the command on it; give its path."""
+        """Write all that is known as an HTML page that needs no other file; give its path.
+
+        The command that led to the result is shown on it, where it is given.
+        """
         from ssac.pipeline.html_report import save_report
 
         return save_report(Path(path), {(0, 1): self.answer}, None, self.summary(), command)

@@ -49,7 +49,8 @@ def report_page(
 ) -> str:
     """Lay out the page on two cameras, or on all pairs of more and their network.
 
-    The summary is what is printed, the command what was called. Equal input gives equal bytes.
+    The summary is what is printed, and the command what was called; empty: from Python. The same
+    input gives the same bytes.
     """
     materials = {pair: material_of(answer) for pair, answer in answers.items()}
     cameras = seen_by(answers, materials, network)

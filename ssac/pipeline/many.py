@@ -129,7 +129,10 @@ class NetworkResult:
         }
 
     def plotted(self, path: Path) -> list[Path]:
-        """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give files."""
+        """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give the files.
+
+        I and J are the numbers of both cameras, from 1 on.
+        """
         from ssac.pipeline.plots import material_of, save_figures
 
         drawn = list[Path]()
@@ -141,7 +144,10 @@ class NetworkResult:
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write an HTML page that needs no other file, with the command on it; give its path."""
+        """Write all that is known as an HTML page that needs no other file; give its path.
+
+        The command that led to the result is shown on it, where it is given.
+        """
         from ssac.pipeline.html_report import save_report
 
         return save_report(Path(path), self.pairs, self.network, self.summary(), command)
@@ -157,7 +163,8 @@ class NetworkResult:
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
-    `method` is for each pair; None for the best one. SsacError for what contradicts what is known.
+    `method` is for each pair; None for the best one that it allows. SsacError if a recording cannot
+    be used, or contradicts what is known.
     """
     watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
     for a, b in combinations(range(len(chain)), 2):

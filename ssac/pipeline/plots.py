@@ -106,9 +106,10 @@ class EpipolarRow:
 
 
 def save_figures(target: Path, material: Material, only: str = "") -> list[Path]:
-    """Draw what an estimate allows, or `only` one figure; give the files written, maybe none.
+    """Draw what an estimate allows; give the files written, none when there is nothing to draw.
 
-    The target is a folder for one PNG each, or a file of FIGURE_SUFFIXES for all of them.
+    The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
+    for all figures, one below the other. `only` names the one figure that is wanted.
     """
     figures = [figure for figure in figures_of(material) if only in ("", figure[0])]
     if not figures:

@@ -117,7 +117,10 @@ def choose_method(
 
 
 def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -> Estimate:
-    """Run another package's method; what it raises or returns amiss is said to be its own."""
+    """Run another package's method; what it raises or returns amiss is said to be that package's.
+
+    `home` is the package's folder, or its only file.
+    """
     where: Path | str = home
     try:
         estimate: Any = function(*given)

@@ -18,9 +18,10 @@ _LARGER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))  # how deviation
 
 
 def scene_of_two(material: Material) -> dict[str, Any] | None:
-    """Lay out two cameras, in the first one's frame, and the path; None without a reliable pose.
+    """Lay out two cameras, the first of which is the frame, and where both rays to the object meet.
 
-    Deviations of the path are those of its positions' noise; the pose's are at camera 2.
+    Deviations of the path are those of its positions' noise; the pose's are at camera 2. None where
+    there is no reliable pose.
     """
     estimate, views = material.estimate, material.views
     R, t, F = estimate.R, estimate.t, estimate.F

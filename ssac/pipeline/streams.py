@@ -52,7 +52,10 @@ class Seen:
         return (first_s, last_s) if first_s <= last_s else (0.0, 0.0)
 
     def points(self, span_s: tuple[float, float], most: int) -> tuple[Array, Array, Mask]:
-        """Give about `most` times (n,), undistorted points (n, 2), and which are brighter."""
+        """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` of them.
+
+        They are events between two times of its clock, or points of its track.
+        """
         camera, track = self.shown.camera, self.shown.track
         if track is not None:
             inside = (track.times_s >= span_s[0]) & (track.times_s <= span_s[1])

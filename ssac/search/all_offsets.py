@@ -39,8 +39,10 @@ def costs_at_lags(
 ) -> tuple[Array, IntArray]:
     """Cost (m,) of pairing sample i of track 1 with sample i + lag of track 2, and pairs (m,).
 
-    The median Sampson distance from the F that fits best, over the thinner path's deviation, to
-    which F explains any two paths; NaN of too few. Samples of an object at rest do not count.
+    The cost is the median Sampson distance from the F that fits best, over the least of both paths'
+    deviations: what an F explains of any two paths whatever is the width of the thinner one. NaN
+    below `least_pairs`. An object at rest says nothing, so that a sample counts only when both
+    images have moved by `least_px` since the last one that did.
     """
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
     chosen = np.empty(len(one.valid), np.int64)
@@ -136,8 +138,9 @@ def search_all_offsets(
 ) -> AllOffsets:
     """Try every offset that leaves enough common path, in time linear in their number.
 
-    Rates of camera 2's clock move the ends of the common time by few steps of the offset; a guess
-    is refined away from its rate by a share, the freedom. Progress takes the share that is done.
+    Rates of camera 2's clock, by camera 1's, are tried in steps that move the ends of the common
+    time by a few steps of the offset; a guess may be refined away from its rate by a share, the
+    freedom. Progress is called now and then with the share that is done.
     """
     step_s = min(_step_s(motion1, rules), _step_s(motion2, rules))
     are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))

@@ -49,7 +49,11 @@ def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
 
 
 def track_of_events(clean: Clean, config: Config) -> PointTrack:
-    """Follow the object through one camera's events, in the distorted image; SsacError of none."""
+    """Follow the object through the events of one camera, whose windows the config has.
+
+    A point is where a window holds enough events, and few of them on the border: in the image as it
+    is, distorted. SsacError if the events show no object anywhere.
+    """
     points, sharp = _followed(clean, config)
     return PointTrack(
         sharp.times_s, points, _sigmas_px(sharp, config.rules.track.mean_sizes, config)

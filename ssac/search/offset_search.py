@@ -47,8 +47,9 @@ def mean_epipolar_distance(F: Array, pairs: Pairs, min_pairs: int) -> Array:
 def candidate_offsets(views: TwoViews) -> Array:
     """Offsets [s], 1 ms apart from the interval's lower bound, at which the recordings overlap.
 
-    Deviation: the paper says nothing of short overlaps, which fit almost any F; here they are at
-    least half of the longest in the interval.
+    Deviation: the paper says nothing of offsets near which little is left of the recordings. A
+    short stretch fits almost any F, so an offset is a candidate only when its overlap is at least
+    half of the longest in the interval. Empty when no offset gives any overlap.
     """
     low, high = views.config.offsets_s
     n_steps = int(np.floor((high - low) / FINE_STEP_S + 1e-9))
@@ -88,9 +89,10 @@ def coarse_to_fine_search(
 ) -> OffsetSearch:
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
 
-    Every `coarsest` ms, then every 5 around the three least minima, by the coarse cost; every 1 ms
-    around the least by the cost itself. Other deep minima, and a path's returns (k,) [s], are
-    followed to 1 ms, by the coarse cost, as possible rivals (`valleys`).
+    Every `coarsest` steps of 1 ms first, then every 5 ms around the three least local minima, both
+    with the coarse cost, which may be less robust; then every 1 ms around the least of all with the
+    cost itself. The other deep minima, and what a path's returns (k,) [s] lie from the best, are
+    followed to 1 ms with the coarse cost: they say whether the best has rivals (`valleys`).
     """
     middle, finest, close = 5, 1, 3  # fine steps; the last on each side of a rival
     size = len(offsets_s)
@@ -151,8 +153,10 @@ def _neighbourhood(centres: Indices, around: Indices, size: int) -> Indices:
 def _minimum(candidates_s: Array, d_avg_px: Array, eligible: Mask) -> OffsetSearch:
     """Take the least of the eligible candidates, refined between candidates.
 
-    Deviation: the paper takes the best. Events that enter and leave windows make d_avg jump by
-    1e-3 px, so the minimum is that of a parabola about itself within 6 ms, wherever candidates lie.
+    Deviation: the paper takes the best. Events that enter and leave the windows make
+    d_avg jump by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola
+    fitted to d_avg within 6 ms. Its weights fall off towards both ends of a window centred on the
+    minimum itself, so that the result does not depend on where the candidates lie.
     """
     values = np.where(eligible & np.isfinite(d_avg_px), d_avg_px, np.inf)
     best = int(np.argmin(values))
@@ -288,7 +292,10 @@ def open_fundamental(p1_px: Array, p2_px: Array, rules: SearchRules) -> Refusal 
 
 
 def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules) -> list[Valley]:
-    """Pieces of low cost of a curve (M,), offsets ascending, that of `t_d_s`, the best, first."""
+    """Pieces of low cost of a curve, that of `t_d_s`, the offset of least cost, first.
+
+    The curve (M,) has ascending offsets [s]; NaN costs are left out.
+    """
     known = np.isfinite(costs)
     candidates_s, costs = candidates_s[known], costs[known]
     here = int(np.argmin(np.abs(candidates_s - t_d_s)))

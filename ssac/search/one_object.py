@@ -259,9 +259,10 @@ def one_object(
 ) -> tuple[tuple[Clean, ...], Refusal | None]:
     """Choose the object that all cameras saw, where one of them saw several things at a time.
 
-    Each camera has the events of that object alone, or is as it was where all saw one thing; and a
-    refusal if none is told from the others. With noise left nothing is chosen: it hangs together
-    too. Of more than two, the two that bear out one object for longest say which.
+    Each camera is given with the events of that object alone, or as it is where all saw one thing;
+    and why no object is told from the others, if so. Of cameras with noise in their events nothing
+    is chosen: that hangs together too. Of more than two, those two that bear out one object for
+    longest say which it is; a further one that saw nothing of it has no events left.
     """
     seem = [one.denoised and seem_several(one.events, one.camera, rules.objects) for one in cleans]
     if not any(seem) or any(not one.has_track and len(one.events) == 0 for one in cleans):

@@ -129,7 +129,8 @@ class TwoViews:
     def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
         """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,).
 
-        Deviation: over the time in which both see the object, where that is less than half of it.
+        Deviation: where both cameras see the object in less than half of that, evenly over the time
+        in which they do. The paper's samples would then nearly all fail.
         """
         n = n_samples or self.config.n_samples
         start, end = self.overlap_s(t_d_s)
@@ -185,7 +186,10 @@ class TwoViews:
 def views_of(
     one: Clean, other: Clean, rig: Rig, config: Config, pose_is_known: bool = False
 ) -> TwoViews:
-    """Sum up both views of what two cameras recorded, without noise: the paper's Sec. IV-A."""
+    """Sum up both views of what two cameras recorded, without noise: the paper's Sec. IV-A.
+
+    The rig's extrinsics count only where `pose_is_known`: then only the offset is in question.
+    """
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
     return TwoViews(*motions, rig, config, pose_is_known, cleans=(one, other))
 
@@ -194,7 +198,9 @@ def views_of(
 class Shutters:
     """The k cameras, of both, whose readout is to be estimated.
 
-    A row is later than its frame by its share of the height, times the readout, and so is an image.
+    A frame's row is exposed its share of the height, times the readout, later than the frame's
+    time. So a readout that is longer by d shows the object at a time t where it was d times that
+    share before: its image moves by that much against its velocity.
     """
 
     cameras: tuple[int, ...]  # 0 and 1
@@ -217,7 +223,10 @@ class Shutters:
         return np.where(np.isnan(found_s), self.expected_s, found_s)
 
     def moves(self, views: TwoViews, times_s: tuple[Array, Array]) -> list[tuple[Array, Array]]:
-        """Give how both images move (n, 2) [px] per second of a longer readout of each camera."""
+        """Give how both images move (n, 2) [px] by a longer readout of each, per second of it.
+
+        Views are as they are read out, and sampled at times, each (n,) on its camera's clock.
+        """
         found = []
         for k in self.cameras:
             camera = (views.rig.cam1, views.rig.cam2)[k]

@@ -54,7 +54,10 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
 
 
 def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
-    """Spread n times [s] over those at which both see the object; None where that is most."""
+    """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
+
+    None where they do so in `even_share` of the time that both record, or more, or never.
+    """
     shift = round((one.start_s + t_d_s - other.start_s) / one.step_s)  # other = one + shift
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
     if last <= first:
@@ -70,7 +73,10 @@ NEVER_US = np.empty((0, 2), np.int64)  # spans of a camera that is never blind
 
 
 def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
-    """Find the readouts of frames (g, 2) [us] among events' times: silences in one rhythm."""
+    """Find the readouts of frames (g, 2) [us], ascending, among the sorted times of events.
+
+    There are none unless most of the events lie in one rhythm of silences.
+    """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
         return NEVER_US

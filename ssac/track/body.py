@@ -97,9 +97,11 @@ class Look:
 def body_moves(
     looks: list[Look], shape_s: Array, moments: Array, rules: BodyRules
 ) -> list[Array] | None:
-    """Find the body's origin in the images of all cameras, less where it was thought to be.
+    """Find the body's origin in the images of all cameras.
 
-    Moves are (n, 2) [px] for each camera, NaN where not known; None of no rigid body, or too few.
+    The body's second moments (m, 3, 3), at even times (m,), are those of `second_moments`. Gives
+    for each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where that
+    is not known. None where the images are not those of a rigid body, or too few.
     """
     is_told = np.isfinite(moments[:, 0, 0])
     if not is_told.any():
@@ -171,7 +173,11 @@ def _learned(
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
 ) -> tuple[Array, Seen, Array]:
-    """Gather what is seen at even instants, and axes of second moments as first attitudes."""
+    """Gather what is seen at even instants; give attitudes to begin with.
+
+    Their axes are those of the second moments: which of two is the longer, and which way each
+    points, is told later, by neighbours.
+    """
     step = max(1, round(step_s / float(np.median(np.diff(shape_s)))))
     times_s, moments = shape_s[::step], moments[::step]
     width = max(look.shares.shape[1] for look in looks)
@@ -333,10 +339,10 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
 def registered(
     body: Voxels, seen: Seen, places: IntArray, attitudes: Array, rounds: int
 ) -> tuple[Array, Array]:
-    """Turn the body at m instants, and move its drawings, until they are as their images.
+    """Turn the body at m instants, and move each of its drawings, until they are as their images.
 
-    By rounds of least squares from attitudes (m, 3, 3), at places (m,) among the instants; gives
-    attitudes, and the share of the images' squares that was left (m,) before the last step.
+    By rounds of least squares from attitudes (m, 3, 3) on, at places (m,) among the instants. Gives
+    the attitudes, and which share of the images was left (m,), as squares, before the last step.
     """
     images, corners, points, is_seen, views, focals = seen
     m, c, fine = len(places), images.shape[1], FINE * images.shape[2]
@@ -397,7 +403,11 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations of turns and moves from `first` on; the squares left, and all."""
+    """Give the normal equations of turns and moves, from `first` on: (5, 5) and (5,).
+
+    Then the squares of what is left of the image, and of all of it. Turns are about the body's
+    axes. The room for work is all zero again.
+    """
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -437,7 +447,10 @@ def _normal(
 def _placed(
     voxel: Array, view: View, scale: int, width: int
 ) -> tuple[int, int, float, float, float]:
-    """Give a voxel's pixel (row -1: outside), how far down and right of it, and the depth."""
+    """Give the pixel up and left of a voxel's image, how far down and right of it, and the depth.
+
+    The image has `scale` times as many pixels as the camera's, so many across; row -1: outside.
+    """
     turn, point, focal, corner = view
     x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
     y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
@@ -454,7 +467,11 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths and their slopes by turns [rad] and moves [px], from `first` on."""
+    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
+
+    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
+    first and past the last rows and columns of pixels.
+    """
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]

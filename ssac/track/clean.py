@@ -94,7 +94,8 @@ def on_clock(
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
-    What is clean stays, but for denoising that was skipped. SsacError names the recording.
+    What is clean already stays as it is, but for denoising that was skipped and is asked for now.
+    SsacError, of the recording's name or else of `name`, if the camera or what it gave is unusable.
     """
     if not isinstance(seen, Clean):
         seen = _checked(seen, camera, seen.name or name)

@@ -29,7 +29,8 @@ class Activity:
 def activity(events: Events, width: int, height: int, rules: NoiseRules) -> Activity:
     """Count what each pixel of a sensor of that size [px] did.
 
-    The background is the middle fifth of all squares in all bins, which no object or burst reaches.
+    The background is the middle fifth of all squares in all bins, ordered by their events: an
+    object that covers less than 40 % of the sensor, or a burst at the start, has no part in it.
     """
     starts = _starts_of_bins(events["t"], rules.bin_us)
     counts, active, n_bins, squares = _count(
@@ -112,7 +113,10 @@ def _count(
 
 
 def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
-    """Whether each pixel (height, width) has many events, and too few of those around it have."""
+    """Whether each pixel (height, width) has many events, and too few of those around it have.
+
+    An object's edge leaves similar counts along itself; a hot pixel, or two, stand alone.
+    """
     rows, columns = np.nonzero(counts >= rules.min_masked_events)
     own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
     n_companions = np.full(len(own), -1)  # the pixel finds itself
@@ -124,7 +128,10 @@ def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
 
 
 def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
-    """Pixels (height, width) of clusters that never pause, and around which there is little."""
+    """Pixels (height, width) of clusters that never pause, and around which there is little.
+
+    A slow object is not there all the time, or blurs into where it seldom is.
+    """
     clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))
     if total < rules.min_bins_per_part * rules.parts:

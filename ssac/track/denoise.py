@@ -42,7 +42,8 @@ def without_noise(
 ) -> tuple[Events, Clutter]:
     """Remove what fires by itself, then what fires alone; give what is left, and what was done.
 
-    Neighbours are as told, or the paper's; in noise of a smaller ball, and fewer of a thin object.
+    Each event needs so many neighbours in the paper's ball. None: the paper's, in little noise; in
+    more the smaller ball; fewer, if noise allows it, where the object is thin.
     """
     found = activity(events, width, height, rules)
     mask = masked_pixels(found, rules)
@@ -99,9 +100,13 @@ def radius_filter(
 ) -> Events:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
 
-    At least `n_neighbours` others, sorted by time, lie within `radius_px`, `ms_per_unit` ms being a
-    pixel. Events are counted as they come and go in the ball's core, where enough settles it; else
-    those of each pixel around are looked through from the latest on, the nearest pixels first.
+    An event is kept when at least `n_neighbours` others, sorted by time, lie within `radius_px` of
+    it (the boundary counts), where `ms_per_unit` milliseconds count as one pixel. The sensor's size
+    is told, or as far as the events reach.
+
+    The core of the ball has its events counted as they come and go, and where it holds enough the
+    event is kept at once. For the others, the events of each pixel around are looked through from
+    the latest one on, the nearest pixels first.
     """
     if len(events) <= n_neighbours:
         return events[:0]
@@ -167,9 +172,11 @@ def _has_neighbours(
 ) -> Mask:
     """Whether each event has `n_neighbours` others within a ball.
 
-    The sensor has columns, rows and a margin of cells; the ball is of cells `steps` away for
-    `spans_us`, its `core` of rows of three for `core_us`. Events of `longest_us` are taken
-    together; `length`, a power of two, is above all that they and a ball reach.
+    The sensor has columns and rows of cells, and a margin on each side. The ball is of cells
+    `steps` from an event's for `spans_us`, all at most one row from `core` for `core_us`. Loops
+    over a tuple are compiled without a loop, and an index without a sign is not looked at twice.
+    Events of at most `longest_us` are taken together; `length`, a power of two, is above the number
+    of all that they and a ball reach.
     """
     n, radius_us = len(t), spans_us[0]
     together, leap = 64, 16  # events are taken by so many, so that loops are few, and long

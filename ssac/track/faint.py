@@ -66,7 +66,8 @@ class _Path:
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
     """Find the events of one object that makes too few to be told from noise by their neighbours.
 
-    What the radius filter leaves is followed through gaps; SsacError where that is nothing.
+    What the radius filter leaves is surely the object's, but has gaps, through which it is
+    followed; too little to follow is all that is given. SsacError when no event is surely of one.
     """
     by = by or Rules()
     rules = by.faint
@@ -84,7 +85,11 @@ def faint_object_events(events: Events, width: int, height: int, by: Rules | Non
 def faint_track(
     events: Events, width: int, height: int, noise: NoiseRules, rules: FaintRules
 ) -> tuple[PointTrack, int] | None:
-    """Follow one object with too few events for windows; its track, and how many events it has."""
+    """Follow one object that makes too few events for a window to hold enough of them.
+
+    Gives a point of each bin in which its place is known well, smoothed by the events before and
+    after, and how many events are the object's. None where too little is sure to follow it.
+    """
     kept, sure = _sure(events, width, height, noise, rules)
     found = follow(kept, sure, width, height, rules) if len(sure) else None
     if found is None:
@@ -118,7 +123,11 @@ def _sure(
 def follow(
     events: Events, sure: Events, width: int, height: int, rules: FaintRules
 ) -> Followed | None:
-    """Follow the one object of a camera beyond where it is sure; None where that is too little."""
+    """Follow the one object that a camera sees between and beyond where it is sure.
+
+    Events are sorted by time, without what fires by itself; of those that are sure next to none is
+    noise. None where these are too few for the size of the image.
+    """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)
     bin_of_sure = bins.of(sure)
@@ -295,8 +304,9 @@ def smoothed_path(
 ) -> tuple[Array, Array, Array]:
     """Smooth one coordinate: a Kalman filter forward, Rauch, Tung and Striebel's smoother back.
 
-    Bins (n,) without a measurement have infinite variance; the acceleration is white noise of a
-    density [px^2/s^3]. Gives position, velocity and the position's variance in each bin (n,).
+    Bins (n,) of length `step_s` in which nothing was measured have an infinite variance. The
+    acceleration is white noise of a density [px^2/s^3]; the velocity's variance [px^2/s^2] between
+    two sights has a limit. Gives position, velocity and the position's variance in each bin (n,).
     """
     unknown = 1e6  # variance of what is not known yet, [px^2] and [px^2/s^2]
     n = len(means_px)
@@ -355,9 +365,10 @@ def _sums_in_bins(
 ) -> Array:
     """Sum up the events (m,) about a path, in the bins (n,) where it is known.
 
-    Limits are `half_px`, `counted`, `inside` and `around` of the rules; rates and background (n,)
-    events in a bin, the latter of a pixel. Gives (n, 5): events counted, events around, weights,
-    shares of the object in all that is there, and weighted sums of x and y.
+    Bin k begins with event bounds[k]. Limits are `half_px`, `counted`, `inside` and `around` of the
+    rules. Rates and background (n,) are events of the object in a bin, and of all else in a bin and
+    a pixel. Gives (n, 5): events counted, events around; weights, of each event the share of the
+    object in all that is there; and weighted sums of x and y.
     """
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path

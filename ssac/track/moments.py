@@ -52,7 +52,10 @@ def spreads_near(spreads_px2: Array, at_s: Array, times_s: Array, reach_s: float
 
 
 def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
-    """Find the object's second moments (n, 3, 3) at n even times, smoothed; NaN where not told."""
+    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
+
+    NaN where too few views tell them; of the one that two leave open it may be any.
+    """
     n = len(views[0].points)
     normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
     counts = np.zeros(n)
@@ -84,7 +87,10 @@ def second_moments(views: list[View], smoothing: float, least_views: int = LEAST
 
 
 def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
-    """Give the centre of the image's area less that of the object (n, 2) [px], by moments."""
+    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
+
+    The moments (n, 3, 3) are in X; shifts are NaN where these are.
+    """
     local = view.R @ moments @ view.R.T
     depths = view.points[:, 2:]
     towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
@@ -92,10 +98,10 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
 
 
 def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
-    """Find the second moments (n, 3, 3) of a rigid body from two views, as `second_moments`.
+    """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
 
-    They leave one combination open: at every `step`-th time it is such that the body's deviations
-    stay the same, and that it turns smoothly.
+    Two views leave the combination of both rays open. It is looked for at every `step`-th time,
+    such that the body's three deviations stay the same, and that it turns smoothly.
     """
     told = second_moments(views, smoothing, least_views=2)
     seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
@@ -140,7 +146,11 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose at each of m times one of k tensors (m, k, 6) by dynamic programming; its cost too."""
+    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
+
+    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before
+    with such a weight. Gives the choice (m,) and the mean of what it costs.
+    """
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)
     costs, before = np.zeros(k), np.zeros(k)

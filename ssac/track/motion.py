@@ -52,7 +52,10 @@ class SharpTrack(Track):
 
 
 def motion_of(clean: Clean, how: Windows) -> "Motion":
-    """Sum up a camera's object for sampling at any time (Sec. IV-A); sums are kept with it."""
+    """Sum up a camera's object for sampling at any time (Sec. IV-A).
+
+    Sums over its events are kept with what is clean, as only the border's width changes them.
+    """
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
     if how.border_px not in clean.kept:
@@ -129,7 +132,10 @@ class ObjectMotion:
         return Track(times_s, positions_px, counts.reshape(shape), valid.reshape(shape))
 
     def centred_at(self, times_s: Array) -> Track:
-        """Sample as `at` does, and move means to their windows' middle, as for a blind camera."""
+        """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
+
+        The mean time is another where a camera was blind. Invalid where there is no velocity.
+        """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         first, last = (self._indices(times_s, side) for side in (-1, +1))
         origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
@@ -139,9 +145,10 @@ class ObjectMotion:
         return replace(track, positions_px=positions, valid=track.valid & known)
 
     def velocities_at(self, times_s: Array) -> Array:
-        """Image velocity (..., 2) [px/s] at times (...,) [s]; NaN when a half window is empty.
+        """Image velocity (..., 2) [px/s] at times (...,) [s].
 
-        Between the mean positions and times of both halves of the window.
+        The difference between the mean positions in the two halves of the window, over the
+        difference between their mean times; NaN when a half is empty.
         """
         first, middle, last = (self._indices(times_s, side) for side in (-1, 0, +1))
         shift_px = self._mean_positions(middle, last) - self._mean_positions(first, middle)
@@ -273,7 +280,11 @@ class PointMotion:
         return self.sharp_at(times_s).velocities_px_s
 
     def sharp_at(self, times_s: Array) -> SharpTrack:
-        """Sample track and velocity at times (...,) [s]; sizes are as points' deviations there."""
+        """Sample the track and its velocity at times (...,) [s].
+
+        The sizes are in proportion to the deviations of the points there, so that methods, which
+        weigh by the inverse of the size, weigh well.
+        """
         positions, velocities, sigmas, counts = local_parabolas_at(
             self.times_s,
             self.points_px,
@@ -307,8 +318,10 @@ def point_motion(
 ) -> PointMotion:
     """Prepare the points of one camera, in time order, for sampling.
 
-    Distortion is removed; points that the lens model cannot undistort are left out, and those of a
-    rolling shutter are later by its readout times their row's share. Windows hold five points.
+    Distortion is removed; points that the lens model cannot undistort are left out. With a rolling
+    shutter, each point was seen `readout_s` times its row's share of the height later. Windows of
+    local parabolas are longer where `half_window_s` [s] holds fewer than five points. SsacError,
+    which starts with what the track is, if the readout is longer than from one frame to the next.
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0

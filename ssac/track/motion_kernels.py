@@ -34,9 +34,10 @@ def sum_up(
 ) -> None:
     """Fill in what an `ObjectMotion` holds of n events, in one pass over them.
 
-    Undistorted pixels are `ideal` (height, width, 2), or None; the border has the sensor's width,
-    height and its own. Arrays are given, as NumPy makes them in large pages of memory, which Numba
-    does not: to touch small ones for the first time takes as long as all else here.
+    Where each pixel is imaged without distortion stands in `ideal` (height, width, 2); None: where
+    it is. The border is the sensor's width and height, and that of its border [px]. The arrays are
+    given, the starts zero so far, as NumPy makes them in large pages of memory, which Numba does
+    not: to touch small ones for the first time takes as long as all else here.
     """
     width, height, border_px = border
     sum_x, sum_y, n_on_border = 0.0, 0.0, 0
@@ -58,7 +59,11 @@ def sum_up(
 
 @numba.njit(cache=True)
 def _slice_of(time_us: np.int64, sliced: Sliced) -> tuple[int, int]:
-    """Bounds of where the first of the sorted times at or after one is: np.searchsorted, faster."""
+    """Least and greatest index that the first of the sorted times at or after one may have.
+
+    With `_first_within` this is np.searchsorted, but four times as fast: the slice is known at
+    once, and its few times stand side by side in memory.
+    """
     times_us, slice_bits, slice_starts = sliced
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
@@ -90,8 +95,9 @@ def window_sums(
 ) -> tuple[Array, IntArray, IntArray]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
-    This waits for memory: so first samples of rows, one for each offset, come first, as they lie
-    side by side, and some windows take each step together.
+    This waits for memory, not for arithmetic. So of rows of samples, one for each offset that is
+    tried, the first samples come first, which lie side by side in memory; and some windows take
+    each step together, as the processor can then fetch what many of them need at a time.
     """
     times_us, (position_sums_px, border_sums) = sliced[0], sums
     n, together = len(middles_s), 64
@@ -128,7 +134,11 @@ def window_sums(
 
 @numba.njit(cache=True)
 def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
-    """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none."""
+    """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none.
+
+    Not by cumulative sums, as positions are: these means are few, and the sums would take half as
+    much memory as the events.
+    """
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
         if last[i] > first[i]:
@@ -195,8 +205,9 @@ def local_parabolas_at(
 ) -> tuple[Array, Array, Array, IntArray]:
     """Positions, velocities, deviations and counts of points at m wanted times.
 
-    Weights are (1 - (age / window)^2)^2 by variances. NaN, and a count of 0, in gaps and beyond the
-    ends: there are to be two points on each side, and four in all.
+    Parabolas are fitted to the points within the window, weighed by (1 - (age / window)^2)^2 and by
+    their deviations. NaN, and a count of 0, in gaps and beyond the ends: there are to be two points
+    on each side, and one more in all than a parabola has coefficients.
     """
     n, m, min_side = len(times_s), len(wanted_s), 2
     positions, velocities = np.full((m, 2), np.nan), np.full((m, 2), np.nan)

@@ -116,7 +116,10 @@ class _Cells:
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
-    """First event of each `every`-th bin, and the one after its last (b, 2)."""
+    """First event of each `every`-th bin, and the one after its last (b, 2).
+
+    Bins count from the first event on, so that a clock that shows more changes nothing.
+    """
     times_us = events["t"]
     n_bins = int(times_us[-1] - times_us[0]) // bin_us + 1
     starts = np.arange(0, n_bins, every, dtype=np.int64)
@@ -151,10 +154,11 @@ def _blobs(
 def _labelled(
     events: Events, bounds: IntArray, cells: _Cells, full: int
 ) -> tuple[Labels, IntArray, Mask, IntArray]:
-    """Label connected clusters of full cells, bin by bin, but for still cells.
+    """Label connected clusters of cells with events, bin by bin of time, but for still cells.
 
-    Gives each event's cluster (n,), -1 of none; clusters' bins (k,), ascending, and whether they
-    touch a still cell (k,); and in how many bins each cell (rows, columns) is full.
+    So many events of a cell hold it together with its neighbours: it is full. Gives the cluster of
+    each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether it touches a
+    still cell (k,); and in how many bins each cell (rows, columns) is full.
     """
     still, beside = cells.still, np.ones((3, 3), np.bool_)
     at_still = binary_dilation(still, beside)

@@ -62,7 +62,10 @@ class Observation:
 
 
 def check_seen(seen: Observation, name: str) -> None:
-    """Raise SsacError, starting with `name`, unless all of an observation is of its kind."""
+    """Raise SsacError, starting with `name`, unless all of an observation is of its kind.
+
+    What the events and points are is checked where they are cleaned.
+    """
     track, images, times_s = seen.track, seen.frames, seen.frame_times_s
     check_event_array(seen.events, name)
     if track is not None and not isinstance(track, PointTrack):

@@ -51,7 +51,10 @@ class Tangents:
 def near_outline(
     motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineConfig
 ) -> list[OutlineEvents]:
-    """Find the courses of both tangents, and the few events near each that `tangents` needs."""
+    """Find the courses of the upper and of the lower tangent, and the events near each.
+
+    These few are all that `tangents` needs, also for a pencil and times a little different.
+    """
     course = _Course.of(motion, pencil, times_s, config)
     blocks = _Blocks.of(motion.times_us, times_s, config)
     points_px = np.diff(motion.position_sums_px, axis=0)
@@ -84,9 +87,10 @@ def tangents(
     times_s: Array,
     config: OutlineConfig,
 ) -> list[Tangents]:
-    """Find the upper and the lower tangent of the outline, at even times (n,) [s], n > 1.
+    """Find the upper and the lower tangent of the object's outline, that of greater angle first.
 
-    Invalid where the track is, for an event on the border, or close to the epipole.
+    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock. A tangent is invalid where
+    the track is, when the event that gives it is on the border, or close to the epipole.
     """
     course = _Course.of(motion, pencil, times_s, config)
     return [
@@ -169,7 +173,11 @@ class _Blocks:
     def extremes(
         self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
-        """Find how far up the outline reaches in windows about the usable samples, by two ranks."""
+        """Find how far up the outline reaches in the windows about the usable samples.
+
+        The very highest value may be noise. Any rank lies inside the outline, the more so the fewer
+        events there are near it; the gap to a deeper rank tells how much.
+        """
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + 2 * np.arange(len(self.times_s)) - half
@@ -272,8 +280,9 @@ def angles_from_course(
 ) -> Array:
     """Tangents (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
 
-    Block i has the events from bounds[i] (b + 1,) to bounds[i + 1], others are not set; the course
-    (b + 1,) [rad] is at its edges; sine and cosine (3,) are the pencil's.
+    The events of block i are those from bounds[i] (b + 1,) up to bounds[i + 1]; the values of
+    events in no block are not set. The course (b + 1,) [rad] is that at the blocks' edges, between
+    which its direction is interpolated; sine and cosine (3,) are the pencil's.
     """
     out = np.empty(len(times_us))
     s0, s1, s2 = sine[0], sine[1], sine[2]
@@ -301,7 +310,10 @@ def angles_from_course(
 def highest_in_blocks(
     values: Array, bounds: Indices, side: float, depth: int
 ) -> tuple[Array, Indices]:
-    """Highest of side * values in each block: values, -inf of fewer, and indices (b, depth)."""
+    """Highest of side * values in each of b blocks, descending: values and indices (b, depth).
+
+    Minus infinity where a block has fewer. NaN is never among them.
+    """
     n = len(bounds) - 1
     tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
     for i in range(n):
@@ -323,7 +335,10 @@ def ranked_in_windows(
     rank: int,
     deeper_rank: int,
 ) -> tuple[Array, Indices]:
-    """Values (n, 2) of two ranks in windows of blocks, NaN of too few; the first's events (n,)."""
+    """Values (n, 2) of two ranks in windows of `length` blocks, and the index of the first's event.
+
+    NaN and 0 where a window is not usable or has fewer events.
+    """
     n = len(firsts)
     ranked, indices = np.full((n, 2), np.nan), np.zeros(n, np.intp)
     top, top_at = np.empty(deeper_rank + 1), np.empty(deeper_rank + 1, np.intp)
@@ -366,9 +381,10 @@ def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> N
 
 @numba.njit(cache=True)
 def local_parabolas(values: Array, reach: int) -> tuple[Array, Array]:
-    """Value and slope per step (n,) of parabolas with tricube weights about n even samples.
+    """Value and slope per step (n,) of parabolas fitted about each of n even samples.
 
-    NaN where the sample is, or fewer than half of the `reach` on each side are known.
+    By tricube weights over `reach` samples on each side; NaN, where the sample is itself or fewer
+    than half of those around it are known.
     """
     n = len(values)
     smooth, slopes = np.full(n, np.nan), np.full(n, np.nan)

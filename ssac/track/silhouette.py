@@ -64,7 +64,8 @@ def silhouettes(
 ) -> Silhouettes | None:
     """Find the object's silhouettes; None where it is too small, or the events do not tell.
 
-    Events are all recorded: denoised ones count wrong. Points are undistorted, sizes rms radii.
+    Events are all that the camera recorded: denoised ones count wrong. The track (n,) is of their
+    mean, undistorted; sizes are root mean square radii of the image.
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
@@ -127,8 +128,9 @@ def _linked_levels(
     """Give each event's level, positive where darker, and the events before and after it.
 
     The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short of
-    being back. Gives (m,) levels after events, a pixel's events before and after each in the box,
-    `NONE` without; how often one came to rest, and within a threshold of where it had been.
+    being back. Gives (m,) levels just after the events; the events of the pixel, while it was in
+    the box, before and after each, `NONE` without; how often a pixel came to rest, and how often it
+    did so within a threshold of where it had been.
     """
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
@@ -186,10 +188,12 @@ def _image_sums(
 ) -> Array:
     """Sum up the images of the object at n samples, by what `_linked_levels` gave.
 
-    A level changes by one in a ramp (n,) [us]; shares are by the level of a covered pixel and its
-    log contrast. Images (n, w, w), whose first pixels are corners (n, 2), are written in place.
-    Gives (n, 8): area [px], centre x, y [px], moments xx, xy, yy [px^2], how many pixels of the box
-    were never seen bare, and how many covered ones are on the border.
+    In a ramp (n,) [us] an edge changes a level by one. The share is told by the level of a pixel
+    covered all over, and its log contrast. Corners (n, 2) are column and row of each image's first
+    pixel; images (n, w, w) are written in place.
+
+    Gives (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
+    pixels of the box were never seen bare, and how many covered ones are on the border.
     """
     (times_us, x, y), shape, (samples_us, boxes) = seen
     (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
@@ -277,7 +281,10 @@ def _level_at(
     after: Levels,
     ramp_us: float,
 ) -> float:
-    """Give a pixel's level, without sign, between events a and b: 1 is left where it fades."""
+    """Give a pixel's level, without sign, between its event a and its next, b; either may be none.
+
+    Level 1 is left, unless the next event is near: it fades and comes as fast as before and after.
+    """
     fading, coming = 0.0, 0.0
     if a != NONE:
         level_a, ago_us = float(levels[a]), float(time_us - times_us[a])

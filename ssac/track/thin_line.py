@@ -40,7 +40,11 @@ class _Line:
 def events_on_line(
     events: Events, kept: Events, width: int, height: int, rules: LineRules
 ) -> Mask | None:
-    """Tell which events that denoising kept lie on a thin line from the object; None: no line."""
+    """Find the events of a thin line that goes from the object on, far beyond it.
+
+    Tells which of the n events that denoising left of all lie where such a line is; both are sorted
+    by time. None, unless there is one in much of the recording, on one side of the object.
+    """
     if len(kept) < rules.min_events:
         return None
     start_us, length_us = kept["t"][0], 2 * rules.half_window_us
