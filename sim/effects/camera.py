@@ -244,9 +244,24 @@ class _NoisyImages:
             variance += levels / effects.frame_full_well_e
         deviation = np.sqrt(variance)
         draws = self._rng.integers(0, 2**64, -(-image.size // (64 // _BITS)), np.uint64)
-        # 12 bits of a draw make one pixel's noise.
-        bits = draws[:, None] >> np.arange(0, 64 - _BITS + 1, _BITS, dtype=np.uint64)
-        drawn = _QUANTILES[bits & np.uint64(len(_QUANTILES) - 1)].ravel()[: image.size]
-        mean, deviation = (_FULL_SCALE * np.array([levels, deviation])).astype(np.float32)
-        noisy = mean[image] + deviation[image] * drawn.reshape(image.shape)
-        self._images[k] = (np.clip(noisy, 0.0, _FULL_SCALE) + np.float32(0.5)).astype(np.uint8)
+        noisy = np.empty_like(image)
+        _add_noise(
+            image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
+            (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
+        )  # fmt: skip
+        self._images[k] = noisy
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(image, draws, mean, deviation, quantiles, noisy):
+    """Draw each pixel's level, all flat; 12 bits of a draw make one pixel's noise."""
+    per_draw = 64 // _BITS
+    for d in range(draws.size):
+        bits = draws[d]
+        for i in range(d * per_draw, min((d + 1) * per_draw, image.size)):
+            quantile = quantiles[bits & np.uint64((1 << _BITS) - 1)]
+            bits >>= np.uint64(_BITS)
+            level = mean[image[i]] + deviation[image[i]] * quantile
+            noisy[i] = np.uint8(
+                min(max(level, np.float32(0.0)), np.float32(255.0)) + np.float32(0.5)
+            )

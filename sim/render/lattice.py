@@ -109,26 +109,18 @@ def average_tiles(
     """
     width, height = size_px
     luminance = np.empty((len(corners), height, width), np.float32)
-    pixel_of = _pixel_of_samples(lattice, size_px)
+    columns, n_samples = _columns_in_tile(lattice, height), lattice.samples_per_pixel
     for image, (column, row), (x0, y0) in zip(luminance, corners, corner_px, strict=True):
-        words = atlas[row : row + len(pixel_of), column : column + pixel_of.shape[1]]
-        # Whole numbers below 2^53, which floating point adds exactly.
-        sums = np.bincount(pixel_of.ravel(), words.ravel(), width * height + 1).astype(np.int64)
-        average_block(sums, width, lattice.samples_per_pixel, background[y0:, x0:], image)
+        tile, behind = atlas[row:, column:], background[y0:, x0:]
+        _average_tile(tile, columns, lattice.a, lattice.b, n_samples, behind, image)
     return luminance
 
 
-def _pixel_of_samples(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
-    """Give the number of each sample's pixel in a tile, as `runs_of_tile` counts them."""
-    width, height = size_px
-    a, b, n = lattice.a, lattice.b, lattice.samples_per_pixel
-    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
-    n_columns, n_rows = lattice.tile_size(width, height)
-    u, v = u0 + np.arange(n_columns), v0 + np.arange(n_rows)[:, None]
-    # p = A' q / n; a pixel reaches from -1/2 to 1/2 about its own, whole in integers.
-    x, y = (2 * (a * u + b * v) + n) // (2 * n), (2 * (a * v - b * u) + n) // (2 * n)
-    is_within = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    return np.where(is_within, width * y + x, width * height).astype(np.int32)
+def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
+    """Give `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
+    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height_px)
+    columns: IntArray = lattice.pixel_columns - np.array([u0, v0, v0])
+    return columns
 
 
 @lru_cache(maxsize=64)
@@ -140,12 +132,38 @@ def runs_of_tile(
     Returns the run of each sample, row by row; the first sample of each run, and one past the last
     run's; and the pixel of each run: width times row plus column, or width times height of none.
     """
-    pixel_of = _pixel_of_samples(lattice, size_px)
+    width, height = size_px
+    pixel_of = np.full(lattice.tile_size(width, height)[::-1], width * height, np.int32)
+    columns = _columns_in_tile(lattice, height)
+    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
     is_first = np.ones(pixel_of.shape, np.bool_)
     is_first[:, 1:] = pixel_of[:, 1:] != pixel_of[:, :-1]
     start = np.flatnonzero(is_first)
     run_of = np.cumsum(is_first.ravel(), dtype=np.int32) - np.int32(1)
     return run_of, np.append(start, pixel_of.size).astype(np.int32), pixel_of.ravel()[start]
+
+
+@njit(cache=True, nogil=True)
+def _number_samples(columns, a, b, width, height, pixel_of):
+    """Write each pixel's number at its samples, given those of the first pixel of the tile."""
+    for j in range(height):
+        for i in range(width):
+            for c in range(columns.shape[0]):
+                u = columns[c, 0] + a * i - b * j
+                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
+                    pixel_of[v, u] = width * j + i
+
+
+@njit(cache=True, nogil=True)
+def _average_tile(tile, columns, a, b, n_samples, background, luminance):
+    for j in range(luminance.shape[0]):
+        for i in range(luminance.shape[1]):
+            total = np.int64(0)
+            for c in range(columns.shape[0]):
+                u = columns[c, 0] + a * i - b * j
+                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
+                    total += np.int64(tile[v, u])
+            luminance[j, i] = _mixed(total, n_samples, background[j, i])
 
 
 @njit(cache=True, nogil=True)
