@@ -1,10 +1,6 @@
-"""Speed and memory of parts, and of both sides on ever longer flights before two sizes of sensor.
-
-Each is measured in a process of its own, so that none sees another's memory.
-"""
+"""Parts of the benchmark, each measured in a process of its own: none sees another's memory."""
 
 import resource
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -31,8 +27,6 @@ from sim.scene.trajectory import SplineConfig, random_spline
 from sim.storage import record
 from ssac.arrays import Array
 from ssac.camera import Cameras
-from ssac.estimate import Status
-from ssac.pipeline.api import Result, sync
 from ssac.pipeline.chain import MEANS, Chain, Source
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method
@@ -47,7 +41,7 @@ ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers e
 TABLES_MARKS_S = {"from nothing": 2.0, "recordings cached": 0.2}
 """Of a recording, by two workers: 300 of them in 10 minutes, and in one."""
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -96,7 +90,7 @@ def peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def best_seconds(work: Callable[[], Found], repeats: int = REPEATS) -> tuple[float, Found]:
+def best_seconds(work: Callable[[], Result], repeats: int = REPEATS) -> tuple[float, Result]:
     """Least processor time [s] of a few runs after a warm-up, and the result."""
     result = work()
     seconds = []
@@ -220,105 +214,3 @@ PARTS: Mapping[str, Callable[[], list[Measurement]]] = {
     "sync": bench_sync,
     "tables": bench_tables,  # which has two workers
 }
-
-
-# --- Ever longer flights ---
-
-STEPS = SIMULATE, SYNCHRONISE = "simulate", "synchronise"
-T_D_S = 0.05
-
-
-@dataclass(frozen=True)
-class Point:
-    """A real flight of the default drone: `sim` records the pair, then `ssac sync` reads it.
-
-    The larger sensor has a longer lens, so that 20 s make 9 million events a camera, and 120 s 55
-    million.
-    """
-
-    width_px: int
-    height_px: int
-    focal_px: float
-    duration_s: float
-    events_per_s: float  # a camera makes, about
-
-    @property
-    def sensor(self) -> str:
-        """Name the sensor."""
-        return f"{self.width_px} x {self.height_px}"
-
-    @property
-    def config(self) -> SimConfig:
-        """Give what is simulated."""
-        default = SimConfig(t_d_s=T_D_S)
-        return replace(
-            default,
-            resolution=(self.width_px, self.height_px),
-            principal_point=(self.width_px / 2, self.height_px / 2),
-            focal_px=self.focal_px,
-            spline=replace(default.spline, duration_s=self.duration_s),
-        )
-
-
-POINTS = tuple(
-    Point(width, height, focal_px, duration_s, rate)
-    for width, height, focal_px, rate in ((346, 260, 200.0, 0.05e6), (1280, 720, 440.0, 0.46e6))
-    for duration_s in (5.0, 20.0, 60.0, 120.0)
-)
-
-
-@dataclass(frozen=True)
-class StepCell(PlainCell):
-    """One step of a point; the recording is made by the one before."""
-
-    point: Point
-    step: str
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Sensor, duration and step."""
-        return {"sensor": self.point.sensor, "duration_s": self.point.duration_s, "step": self.step}
-
-
-@dataclass(frozen=True)
-class StepRow(RunRow):
-    """What a step took."""
-
-    events_per_camera: float = np.nan  # of both, the mean
-    wall_s: float = np.nan
-    cpu_s: float = np.nan
-    peak_mb: float = np.nan
-    t_d_error_ms: float = np.nan
-
-
-def step_row(cell: StepCell, cache: Cache) -> StepRow:
-    """Take a step in this process, after a smaller one that loads the kernels.
-
-    All steps share the folder of the cache.
-    """
-    smallest = cache.folder / "smallest"
-    pair = smallest if cell.point == POINTS[0] else cache.folder / "pair"
-    if cell.step == SIMULATE:
-        with tempfile.TemporaryDirectory() as other:
-            record(replace(POINTS[0], duration_s=1.0).config, 0, Path(other) / "short", {})
-    else:
-        _sync(smallest)
-    status, n_events, error_ms = str(Status.OK.value), np.nan, np.nan
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
-    if cell.step == SIMULATE:
-        n_events = float(np.mean(record(cell.point.config, 0, pair, {}).n_events))
-    else:
-        estimate = _sync(pair).estimate
-        status = str(estimate.status)
-        error_ms = 1e3 * abs(estimate.t_d_s - T_D_S) if status == Status.OK.value else np.nan
-    wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-    if cell.step == SYNCHRONISE and pair != smallest:
-        shutil.rmtree(pair)
-    return StepRow(status, "", n_events, wall_s, cpu_s, peak_memory_mb(), error_ms)
-
-
-STEP = Measure(load_nothing, step_row, StepRow)
-
-
-def _sync(folder: Path) -> Result:
-    return sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml")

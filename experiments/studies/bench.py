@@ -18,19 +18,8 @@ from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of, markdown_table, records
-from experiments.machine.parts import (
-    PART,
-    PARTS,
-    POINTS,
-    SIMULATE,
-    STEP,
-    STEPS,
-    SYNCHRONISE,
-    Measurement,
-    PartCell,
-    Point,
-    StepCell,
-)
+from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
+from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
 
 _TOOK = ("wall_s", "cpu_s", "peak_mb")

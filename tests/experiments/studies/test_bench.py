@@ -14,18 +14,9 @@ from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results, csv_text, png_bytes
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.task import Task, run_task
-from experiments.machine import parts
-from experiments.machine.parts import (
-    PART,
-    POINTS,
-    STEP,
-    STEPS,
-    Measurement,
-    PartCell,
-    Point,
-    StepCell,
-    measured_cells,
-)
+from experiments.machine import growth, parts
+from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
+from experiments.machine.parts import PART, Measurement, PartCell, measured_cells
 from experiments.paper.esim import n_recordings, table_cells
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
@@ -161,11 +152,11 @@ def test_steps_of_a_point_are_measured_or_say_why_not(
 ) -> None:
     def synced(*files: Path) -> SimpleNamespace:
         assert all(file.exists() for file in files)
-        return SimpleNamespace(estimate=Estimate("tangency", t_d_s=parts.T_D_S + 1e-3))
+        return SimpleNamespace(estimate=Estimate("tangency", t_d_s=growth.T_D_S + 1e-3))
 
     tiny, none = Point(96, 72, 60.0, 0.5, 1e4), Point(0, 0, 60.0, 0.5, 1e4)
-    monkeypatch.setattr(parts, "POINTS", (tiny,))
-    monkeypatch.setattr(parts, "sync", synced)
+    monkeypatch.setattr(growth, "POINTS", (tiny,))
+    monkeypatch.setattr(growth, "sync", synced)
     cells = [*(StepCell(tiny, step) for step in STEPS), StepCell(none, STEPS[0])]
     runs = run_cells(cells, Cache(tmp_path), Workers(1), measure=STEP).runs
     table = growth_table(runs, Results(Path()))
