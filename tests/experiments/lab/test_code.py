@@ -80,14 +80,17 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("experiments/lab/score.py", "1e3", "1e6", {"runs"}),
         ("experiments/lab/recorded.py", "denoised=True", "denoised=False", {"runs"}),
-        # An edit of a lock, the cache, a drawing or a summary.
+        # An edit of a lock, a checksum, the cache, the schedule, a drawing or a summary.
         ("experiments/lab/cache.py", "LAPSES_S = ", "LAPSES_S = 2.0 * ", set()),
         ("experiments/lab/cache.py", "while not", "while 1 and not", set()),
+        ("experiments/lab/results.py", "DPI = 220", "DPI = 240", set()),
+        ("experiments/lab/schedule.py", "MAX_DEATHS = 2", "MAX_DEATHS = 3", set()),
         ("experiments/drawing/style.py", "import", "import os\nimport", set()),
         ("experiments/studies/coverage.py", "SAMPLING = 0.95", "SAMPLING = 0.9", set()),
         ("experiments/studies/efficiency.py", '"n_runs"', '"runs"', set()),
-        # Prose changes no number.
+        # Prose and annotations change no number.
         ("ssac/camera.py", "# ", "# Well: ", set()),
+        ("experiments/lab/scored.py", "cell: Cell, chain", "cell: object, chain", set()),
     ],
 )  # fmt: skip
 def test_what_matters_makes_new_keys_and_nothing_else(

@@ -88,3 +88,18 @@ def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypat
     assert not is_free_after(0.9)
     assert is_free_after(0.2)
     assert list(path.parent.iterdir()) == []
+
+
+def test_a_holder_is_not_silent_and_does_not_give_back_the_lock_of_another(path, monkeypatch):
+    monkeypatch.setattr(cache, "LAPSES_S", 0.6)
+    with claimed(path):
+        before = path.stat().st_mtime_ns
+        time.sleep(1.5)
+        assert path.stat().st_mtime_ns > before
+        with claimed(path) as is_ours:
+            assert not is_ours
+    monkeypatch.undo()
+    with claimed(path):
+        path.unlink()
+        text = write_elsewhere(path)
+    assert path.read_text() == text

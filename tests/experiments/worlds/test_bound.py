@@ -20,7 +20,9 @@ from experiments.worlds.bound import (
     method_bound,
 )
 from sim.recording import SimConfig
-from ssac.camera import Rig
+from sim.scene.rig import two_view_rig
+from sim.scene.trajectory import random_spline
+from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, solve
 from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
@@ -279,3 +281,25 @@ def test_a_recording_has_all_that_the_bounds_need(
     assert row.r_bound_deg == np.rad2deg(expected.bound.R_rad)
     assert known.t_d_bound_ms < row.t_d_bound_ms
     assert np.isnan(known.r_bound_deg)
+
+
+def test_the_bound_of_a_usual_flight_is_of_the_known_size() -> None:
+    """The project's design has 0.157 ms, 0.27 deg and 0.14 deg: 0.3 px, 90 deg, 20 s, N = 400."""
+    config, camera = SimConfig(), Camera(K, WIDTH, HEIGHT)
+    rig = two_view_rig(config.angle_deg)
+    R, t, _ = rig.extrinsics()
+    T_C_W = np.stack([one.T_C_W for one in rig.cameras])
+    grid_s, times_s = np.linspace(0.0, 20.0, 4001), 20.0 * (np.arange(400) + 0.5) / 400
+    bounds = []
+    for seed in range(5):
+        flight = random_spline(config.spline, np.random.default_rng(seed))
+        motion = TrueMotion(grid_s, flight.position(grid_s), T_C_W)
+        (p1, v1), (p2, v2) = (motion.seen(k, K, times_s) for k in range(2))
+        seen = np.all((p1 > 0) & (p1 < [346, 260]) & (p2 > 0) & (p2 < [346, 260]), axis=1)
+        of = (track[seen] for track in (p1, p2, v1, v2))
+        found = Flight(*of, R, t, Rig(camera, camera)).bound
+        bounds.append([1e3 * found.t_d_s, *np.rad2deg([found.R_rad, found.t_rad])])
+    ratios = np.mean(bounds, axis=0) / [0.157, 0.27, 0.14]
+    # Those are of one flight of another simulator. How wide a flight is counts most for the pose.
+    assert 0.6 < ratios[0] < 1.6
+    assert np.all((ratios[1:] > 0.33) & (ratios[1:] < 1.6)), ratios

@@ -1,6 +1,6 @@
 """The one solver: columns, priors, uncertain intrinsics, and deviations that grow by them."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -21,7 +21,9 @@ from ssac.fit.least_squares import (
     solve,
 )
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
-from ssac.rules import FitRules
+from ssac.methods.clocks import ClockModel, _modes
+from ssac.rules import ClockRules, FitRules
+from ssac.search.two_views import Shutters
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
@@ -35,13 +37,13 @@ NOISE_PX = 0.1
 TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
 
 
-def pairs_of(seen_s, noise_px, seed, fades_in=0.0):
+def pairs_of(seen_s, noise_px, seed, fades_in=0.0, scene=SCENE):
     """Pairs at TIMES_S, of which camera 2's are as the object was at times of their own.
 
     Their noise has the deviation `noise_px`, and fades in so many samples.
     """
-    p1, _ = track_pair(SCENE, TIMES_S)
-    p2, late, early = (track_pair(SCENE, seen_s + step)[1] for step in (0.0, 1e-4, -1e-4))
+    p1, _ = track_pair(scene, TIMES_S)
+    p2, late, early = (track_pair(scene, seen_s + step)[1] for step in (0.0, 1e-4, -1e-4))
     noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
     if fades_in:
         kept = np.exp(-1.0 / fades_in)
@@ -301,3 +303,30 @@ def test_evidence_against_the_intrinsics():
     for seed in range(4):
         problem, found = fitted(problem_of(rig_of(0.001, 0.3), 0.1, seed))
         assert intrinsics.evidence(linearise(problem, found))[0] < 3.5
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.4])
+def test_what_a_clock_strays_unseen_makes_no_prior_heavy(gap):
+    """Within a gap the data leave strays open; modes go all along, so each has a part in it."""
+    scene, noise_px = make_scene(seed=3), 0.3
+    pairs = pairs_of(TIMES_S, noise_px, 0, scene=scene)
+    kept = np.abs(SINCE_S) >= 0.5 * gap * np.ptp(TIMES_S)
+    columns = {field.name: getattr(pairs, field.name) for field in fields(pairs)}
+    arrays = {name: values[kept] for name, values in columns.items() if np.ndim(values)}
+    problem = Problem(replace(pairs, **arrays), rig_of(0.0, 0.0), FitRules())
+    knots_s = np.linspace(TIMES_S[0], TIMES_S[-1], 41)
+    modes, deviations_s = _modes(knots_s, 2000.0)
+    middle_s, half_s = float(np.mean(TIMES_S)), 0.5 * float(np.ptp(TIMES_S))
+    shutters = Shutters((), *np.empty((3, 0)))
+    deviations = np.append(1e-3, deviations_s)
+    model = ClockModel(middle_s, half_s, deviations, ClockRules(), shutters, knots_s, modes)
+    truth = Parameters(0.0, scene.R, scene.t / np.linalg.norm(scene.t))
+    start = replace(truth, columns=np.zeros(len(model.deviations)))
+    problem = model.problem(problem, start, views=None)
+    first = solve(problem, start, max_steps=50).parameters
+    allowance = intrinsics.Allowance(problem.rig, has_priors=True)
+    allowance.learn(problem, first)
+    scales_px = np.array([prior.scale_px for prior in allowance.added(problem).priors])
+    # White noise: each residual is independent, so that a prior counts as one. The fit takes up a
+    # tenth of the noise, and the correlations of what is left are known to some 10 %.
+    assert scales_px == pytest.approx(np.full(len(scales_px), noise_px), rel=0.3)
