@@ -203,7 +203,8 @@ class Chain:
             answer = self._of_faint(method, places, answer)
             if answer.estimate.has_offset:
                 return answer
-        for way in retries.other_ways(self.config, answer.cleans, answer.estimate):
+        seen = [self.clean(k) for k in places]  # before any object was chosen
+        for way in retries.other_ways(self.config, seen, answer.estimate):
             chain = self.under(way)
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
             if other.estimate.status == Status.OK:

@@ -115,17 +115,19 @@ def _has_usual_windows(asked: Config) -> bool:
     return all(getattr(asked, name) == getattr(plain, name) for name in fields)
 
 
-def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> Iterator[Config]:
+def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Iterator[Config]:
     """Give other ways to see the object: closer, over longer windows, of fewer events."""
     of_events, plain, rules = [one for one in cleans if not one.has_track], Config(), asked.rules
     if not of_events:
         return
-    if (
+    is_closer = (
         asked.choose_object
         and rules.objects == plain.rules.objects
         and found.status in SETTLED_BY["closer"]
-    ):
-        yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
+    )
+    closer = replace(rules, objects=rules.retry.closer)
+    if is_closer:
+        yield replace(asked, rules=closer)
     if not _has_usual_windows(asked):
         return
     backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
@@ -133,9 +135,13 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
     is_thin = found.status in SETTLED_BY["few events"]
     if is_thin:
         yield replace(asked, half_window_s=rules.retry.longer_s)
-    if is_thin or (is_noisy and found.status in SETTLED_BY["noise"]):
-        # Less of the object goes with the noise.
-        yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
+    hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
+    if is_thin or (hides_part and found.status in SETTLED_BY["noise"]):
+        # Less of the object goes with the noise, or as if it were noise.
+        fewer = replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
+        yield fewer
+        if is_closer:
+            yield replace(fewer, rules=closer)
     if is_thin and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)

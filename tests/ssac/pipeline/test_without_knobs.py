@@ -8,7 +8,7 @@ import pytest
 import ssac
 from ssac.camera import Camera
 from ssac.config import Config
-from ssac.estimate import Estimate, Status
+from ssac.estimate import SETTLED_BY, Estimate, Status
 from ssac.pipeline.retries import by_several, other_ways
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
@@ -144,6 +144,7 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
         (Status.POOR_FIT, 0.1, Config(), True),
         (Status.DEGENERATE_POSE, 0.1, Config(), True),
         (Status.TOO_FEW_SAMPLES, 0.0, Config(), True),
+        (Status.SEVERAL_OBJECTS, 0.0, Config(), True),
         (Status.POOR_FIT, 0.0, Config(), False),
         (Status.SEARCH_BOUND, 0.1, Config(), False),
         (Status.POOR_FIT, 0.1, Config(n_min=50), False),
@@ -155,7 +156,12 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     clutter = Clutter(0, 0, noise_hz, 5.0, 20, 200)
     seen = tuple(replace(denoised(one), clutter=clutter) for one in events)
     ways = list(other_ways(asked, seen, Estimate("joint", status, "why")))
-    assert any(way.n_neighbours == 3 and way.n_min == 8 for way in ways) is is_tried
+    fewer = [way for way in ways if way.n_neighbours == 3 and way.n_min == 8]
+    assert bool(fewer) is is_tried
+    # Of several objects in noise one is told by less filtering and a closer look together.
+    closer = asked.rules.retry.closer
+    looks_closer = is_tried and status in SETTLED_BY["closer"]
+    assert any(way.rules.objects == closer for way in fewer) is looks_closer
 
 
 @pytest.mark.parametrize(
