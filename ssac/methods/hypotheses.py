@@ -144,6 +144,8 @@ class Choice:
             return []
         if start.status == Status.AMBIGUOUS_OFFSET:
             offsets_s = _offsets_of_valleys(start, self.views.rules)
+            if self._is_short(offsets_s[0]):
+                return []  # what is found would be chance: its start says that, too
         # F left the pose open, so that a calibrated one may still be found; but a straight path's
         # offset has a deviation.
         elif np.isfinite(start.t_d_s) and not np.isfinite(start.t_d_std_s):
@@ -162,6 +164,14 @@ class Choice:
                 poses = poses[: rules.max_poses]
             found += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
         return found
+
+    def _is_short(self, t_d_s: float) -> bool:
+        """Whether the path is too short to tell an offset together with a pose."""
+        views = self.views
+        if views.pose_is_known:
+            return False
+        least = min(views.config.min_swings, views.rules.search.min_swings_of_line)
+        return views.swings(views.pairs_at(t_d_s)) < least
 
     def _weighed(self, estimate: Estimate) -> list[Solution]:
         """Weigh an estimate by the trimmed mean distance of the sharp positions, where it can."""

@@ -11,7 +11,7 @@ from ssac.events import US_PER_S, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
 from ssac.geometry.pose import tangent_basis
 from ssac.rules import VerdictRules
-from ssac.search.offset_search import OffsetSearch, Valley
+from ssac.search.offset_search import FINE_STEP_S, OffsetSearch, Valley
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import PointMotion
 from ssac.track.observation import Observation
@@ -34,7 +34,11 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
-        reason = f"the best offset, {search.t_d_s:.3f} s, bounds the search: widen the interval"
+        is_of_search = min(search.t_d_s - low, high - search.t_d_s) < FINE_STEP_S
+        what = "the search: widen the interval"
+        if not is_of_search:
+            what = "those at which the recordings have enough in common: record longer"
+        reason = f"the best offset, {search.t_d_s:.3f} s, bounds {what}"
     t_d_s = search.t_d_s if status == Status.OK else np.nan
     found = Estimate(method, status, reason, t_d_s)
     return replace(found, candidates_s=search.candidates_s, costs=search.d_avg_px)

@@ -12,8 +12,9 @@ from ssac.estimate import SETTLED_BY
 from ssac.methods.hypotheses import Choice, Solution, choose
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import tangency_from
-from ssac.methods.verdict import certain, doubt, less_sure
+from ssac.methods.verdict import certain, doubt, less_sure, offset_estimate
 from ssac.rules import RetryRules, Rules
+from ssac.search.offset_search import OffsetSearch
 from ssac.track.observation import tracked
 from tests.ssac.box import CLEAN, T_D_S, box_events, observations
 from tests.ssac.methods import flights
@@ -38,6 +39,19 @@ def long_tailed():
     """As a thin tip leaves them that is missed in one view."""
     some = np.random.default_rng(1).standard_cauchy(2000)
     return 0.02 * np.clip(some, -40.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("tried_s", "words"),
+    [((-0.2, 0.2), "record longer"), ((0.2, 1.0), "widen"), ((-1.0, -0.2), "widen")],
+)
+def test_a_bound_is_of_the_interval_or_of_what_recordings_have_in_common(tried_s, words):
+    candidates_s = np.arange(*tried_s, 0.001)  # of an interval from -1 to 1 s
+    at = -1 if tried_s[1] == 1.0 else 0
+    search = OffsetSearch(candidates_s, np.ones(len(candidates_s)), candidates_s[at], True)
+    found = offset_estimate("ssac", search, SimpleNamespace(config=Config()))
+    assert found.status == "search_bound"
+    assert words in found.reason
 
 
 @pytest.mark.parametrize(

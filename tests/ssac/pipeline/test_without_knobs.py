@@ -100,6 +100,12 @@ def test_intrinsics_in_doubt_widen_the_deviations(events):
     assert less.estimate.r_std_deg > 1.5 * sure.estimate.r_std_deg
 
 
+@pytest.mark.parametrize("seed", [0, 1])  # of which the first finds its offset at a bound
+def test_what_is_too_short_is_to_be_recorded_longer(seed):
+    brief = make_events(make_scene(seed, duration_s=0.5), seed, T_D_S)
+    assert "record longer" in ssac.sync(*brief, [CAMERA, CAMERA]).estimate.reason
+
+
 def test_it_is_said_how_far_focal_lengths_turn_the_pose(events):
     right = ssac.sync(*events, [CAMERA, CAMERA]).estimate
     wrong = ssac.sync(*events, [longer(CAMERA, 0.02), longer(CAMERA, 0.02)]).estimate
