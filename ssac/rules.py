@@ -464,10 +464,12 @@ class ClockRules:
     jump_margin_s: float = 2.0  # from both ends: a bias does not average out in less
     max_tried: int = 200
     jump_near_s: float = 2.0  # of the best of these, the jump is looked for closely
-    # One beyond which the views do not match: by causes of `ssac study reasons`, bases 1 and 20.
-    large_quartiles: float = 6.0  # lower ones of the distances, up to which pairs match
-    large_contrast: float = 0.4  # between the shares of these on both sides
+    # One beyond which the views do not match: by causes of `ssac study reasons`, base 62, where the
+    # half that is found fits 10 times worse at other offsets, and unlike paths by 0.3 widths.
     large_jump_s: float = 1.0  # to the other offset
+    large_step_s: float = 0.01  # between offsets that are tried
+    large_rounds: int = 3  # of F, the instant and both offsets
+    large_rival: float = 3.0  # times the least cost, below which another offset may be true
 
 
 @dataclass(frozen=True)

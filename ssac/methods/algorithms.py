@@ -8,14 +8,13 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.camera import known_pose
-from ssac.estimate import ClockJump, Estimate, Refusal, Status
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
-from ssac.methods.verdict import jumped, offset_estimate, refused
+from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.offset_search import (
-    FINE_STEP_S,
     ambiguous_offset,
     mean_epipolar_distance,
     no_match,
@@ -244,54 +243,8 @@ def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimat
     rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     differ = no_match(distance_px, views.object_px, rules)
-    if differ is not None and estimate.F is not None:
-        jump = _large_jump(estimate.t_d_s, estimate.F, views)
-        if jump is not None:
-            return jumped(estimate, jump)
     refusal = differ or ambiguous_offset(found, views.config.max_valley_s)
     return estimate if refusal is None else refused(estimate, refusal, found)
-
-
-def _large_jump(t_d_s: float, F: Array, views: TwoViews) -> ClockJump | None:
-    """Find an instant from which on, or up to which, the views match at another offset alone."""
-    rules, pairs = views.rules.clock, views.pairs_at(t_d_s)
-    most_px, n = views.rules.search.max_residual * views.object_px, len(pairs)
-    if n < 2:
-        return None
-    times_s = pairs.times_s
-    distances_px = epipolar_distance(F, *pairs.points_px)
-    near = distances_px <= min(most_px, rules.large_quartiles * np.quantile(distances_px, 0.25))
-    before = np.cumsum(near)[:-1] / np.arange(1.0, n)
-    after = np.cumsum(near[::-1])[-2::-1] / np.arange(n - 1.0, 0.0, -1.0)
-    inside = times_s[1:] - times_s[0] >= rules.jump_margin_s
-    inside &= times_s[-1] - times_s[1:] >= rules.jump_margin_s
-    contrast = np.where(inside, np.abs(before - after), 0.0)
-    k = int(np.argmax(contrast))
-    if contrast[k] < rules.large_contrast:
-        return None
-    is_later = before[k] > after[k]  # what does not match
-    rest = slice(k + 1, None) if is_later else slice(None, k + 1)
-
-    def cost_px(offset_s: float) -> float:
-        track = views.motion2.at(views.on_clock_2(times_s[rest], offset_s))
-        if np.mean(track.valid) < 0.5:
-            return np.inf
-        p1, p2 = pairs.p1_px[rest][track.valid], track.positions_px[track.valid]
-        return float(np.median(epipolar_distance(F, p1, p2)))
-
-    other_s = t_d_s
-    for reach_s, step_s in ((rules.large_jump_s, 0.01), (0.01, FINE_STEP_S)):
-        tried_s = other_s + np.arange(-reach_s, reach_s + 0.5 * step_s, step_s)
-        other_s = float(tried_s[np.argmin([cost_px(offset_s) for offset_s in tried_s.tolist()])])
-    left_px = cost_px(other_s)
-    if not (left_px <= most_px and 2.0 * left_px <= cost_px(t_d_s)):
-        return None
-    # A fast clock's offsets are as far apart in the means of both parts.
-    drift_s = (views.rules.retry.fast_rates[1] - 1.0) * float(times_s[-1] - times_s[0])
-    if abs(other_s - t_d_s) <= 0.5 * drift_s:
-        return None
-    before_s, after_s = (t_d_s, other_s) if is_later else (other_s, t_d_s)
-    return ClockJump(float(times_s[k + 1]), after_s - before_s, np.nan, before_s, after_s)
 
 
 def _distance_px(estimate: Estimate) -> float:

@@ -1,7 +1,7 @@
 """The one way from what cameras recorded to an estimate: its stages in their order.
 
     clean x N > one object > views > unusable? > start > search > refinements > pieces if refused
-    > camera 2's own clock > rounding > Answer
+    > camera 2's own clock > rounding > jump if no offset matches > Answer
 
 Each stage is a function of what the ones before it gave, and none calls an earlier one. The command
 line, a Python call, every study and the network come here, so that they say the same. What is
@@ -26,13 +26,13 @@ from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
-from ssac.methods.verdict import less_sure, quantum_s
+from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
-from ssac.search.start import Start, start_of
+from ssac.search.start import Start, large_jump, start_of
 from ssac.search.two_views import TwoViews, views_of
 from ssac.track.clean import Clean, clean, followed
 from ssac.track.observation import Observation, check_seen
@@ -212,7 +212,16 @@ class Chain:
             sees_several = any(one.used.seen > 1 for one in other.cleans)
             if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
                 answer = other
-        return replace(answer, estimate=retries.by_several(answer.cleans, answer.estimate))
+        estimate = self._jumped(answer, config)
+        return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
+
+    def _jumped(self, answer: Answer, config: Config) -> Estimate:
+        """Give the estimate; refused as camera 2's clock jumps, if that is why it is refused."""
+        estimate = answer.estimate
+        if estimate.status not in SETTLED_BY["jump"]:
+            return estimate
+        jump = large_jump(self._views(answer.cleans, answer.rig.unposed, config))
+        return estimate if jump is None else jumped(estimate, jump)
 
     def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
         """Answer with the tracks of a faint object, where these say more than its windows."""

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from ssac.arrays import Array, IntArray, Mask
+from ssac.config import Interval
 from ssac.geometry.fundamental import median_after_fit
 from ssac.rules import AllOffsetsRules
 from ssac.search.view import local_minima
@@ -135,41 +136,45 @@ def search_all_offsets(
     rate_range: tuple[float, float] = (1.0, 1.0),
     rate_freedom: float = 0.0,
     progress: Progress | None = None,
+    spans_s: tuple[Interval, Interval] | None = None,
 ) -> AllOffsets:
     """Try every offset that leaves enough common path, in time linear in their number.
 
     Rates of camera 2's clock, by camera 1's, are tried in steps that move the ends of the common
     time by a few steps of the offset; a guess may be refined away from its rate by a share, the
-    freedom. Progress is called now and then with the share that is done.
+    freedom. Progress is called now and then with the share that is done. Of both paths all is
+    compared, or the spans that are given, each on its camera's clock.
     """
-    step_s = min(_step_s(motion1, rules), _step_s(motion2, rules))
-    are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))
+    motions, spans_s = (motion1, motion2), spans_s or (motion1.span_s, motion2.span_s)
+    step_s = min(_step_s(*path, rules) for path in zip(motions, spans_s, strict=True))
+    are_seen = all(start_s < end_s for start_s, end_s in spans_s)
     if not (are_seen and np.isfinite(step_s)):
         return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
     low, high = rate_range
     if not low < high:
-        search = _Search(motion1, motion2, rules, step_s, rate_freedom, progress)
+        search = _Search(*motions, spans_s, rules, step_s, rate_freedom, progress)
         return search.guessed([search.scan(low, rules.pairs, rules.iterations, (0, 1))])
-    half_s = 0.5 * min(float(np.ptp(motion1.span_s)), float(np.ptp(motion2.span_s)))
+    half_s = 0.5 * min(end_s - start_s for start_s, end_s in spans_s)
     wide_s = step_s * rules.rate_scan_step
     n = int(np.ceil(np.log(high / low) * half_s / (rules.rate_steps * wide_s))) + 1
     rates = [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
     freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0))
-    search = _Search(motion1, motion2, rules, wide_s, freedom, progress)
+    search = _Search(*motions, spans_s, rules, wide_s, freedom, progress)
     few, n_scans = (rules.rate_pairs, rules.rate_iterations), len(rates) + 1
     found = search.guessed([search.scan(rate, *few, (k, n_scans)) for k, rate in enumerate(rates)])
     if not found.guesses:
         return found
     # The curve at the best rate, with all pairs.
-    fine = _Search(motion1, motion2, rules, wide_s / rules.rate_scan_step, freedom, progress)
+    fine_s = wide_s / rules.rate_scan_step
+    fine = _Search(*motions, spans_s, rules, fine_s, freedom, progress)
     rate, last = found.guesses[0].rate, (len(rates), n_scans)
     shown = fine.shown(fine.scan(rate, rules.pairs, rules.iterations, last))
     return replace(shown, guesses=found.guesses)
 
 
-def _step_s(motion: Motion, rules: AllOffsetsRules) -> float:
+def _step_s(motion: Motion, span_s: Interval, rules: AllOffsetsRules) -> float:
     """Step of the offset [s] in which a path goes a share of its width; inf of none."""
-    start_s, end_s = motion.span_s
+    start_s, end_s = span_s
     if not end_s > start_s:
         return np.inf
     n_samples = 2000
@@ -202,6 +207,7 @@ class _Search:
 
     motion1: Motion
     motion2: Motion
+    spans_s: tuple[Interval, Interval]
     rules: AllOffsetsRules
     step_s: float
     freedom: float  # share by which a guess's rate may be from that of its scan
@@ -210,11 +216,11 @@ class _Search:
     @cached_property
     def one(self) -> Grid:
         """Camera 1's path."""
-        return self._grid(self.motion1)
+        return self._grid(self.motion1, self.spans_s[0])
 
-    def _grid(self, motion: Motion, rate: float = 1.0) -> Grid:
+    def _grid(self, motion: Motion, span_s: Interval, rate: float = 1.0) -> Grid:
         """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
-        (start_s, end_s), step_s = motion.span_s, rate * self.step_s
+        (start_s, end_s), step_s = span_s, rate * self.step_s
         first, last = int(np.ceil(start_s / step_s)), int(end_s / step_s)
         track = motion.at(step_s * np.arange(first, last + 1, dtype=np.float64))
         seen = track.positions_px[track.valid]
@@ -224,7 +230,8 @@ class _Search:
 
     def scan(self, rate: float, pairs: int, iterations: int, part: tuple[int, int]) -> _Scan:
         """Find the costs of all lags at which the paths overlap: the k-th of n scans."""
-        one, other, least = self.one, self._grid(self.motion2, rate), self.rules.least_pairs
+        one, least = self.one, self.rules.least_pairs
+        other = self._grid(self.motion2, self.spans_s[1], rate)
         lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
         costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
         chunk, (k, n) = 256, part  # lags between two calls of `progress`
@@ -281,7 +288,8 @@ class _Search:
         """Refine an offset, and the rate where it is free, by ever shorter steps."""
         rules, step_s, one, freedom = self.rules, self.step_s, self.one, self.freedom
         chosen = np.empty(len(one.valid), np.int64)
-        count = moving_pairs(one, self._grid(self.motion2, scan.rate), lag, chosen)
+        other = self._grid(self.motion2, self.spans_s[1], scan.rate)
+        count = moving_pairs(one, other, lag, chosen)
         if count < rules.least_pairs:
             return None
         n = min(count, 2 * rules.pairs)

@@ -2,7 +2,7 @@
 
 The search over all offsets (`ssac.search.all_offsets`) finds offset and rate of camera 2's clock
 roughly. A method then sees camera 2 on a clock without that rate, and searches near that offset;
-its answer is put on camera 2's own clock again.
+its answer is put on camera 2's own clock again. Where no offset matches, that clock may jump.
 """
 
 from dataclasses import dataclass, replace
@@ -15,10 +15,12 @@ from ssac.clock import PPM
 from ssac.config import Config, Interval
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.events import US_PER_S
+from ssac.geometry.epipolar import epipolar_distance, robust_deviation
+from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import AllOffsetsRules
-from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets
-from ssac.search.offset_search import too_little_motion
-from ssac.search.two_views import TwoViews
+from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets, width_of
+from ssac.search.offset_search import FINE_STEP_S, too_little_motion
+from ssac.search.two_views import PairsAt, TwoViews
 from ssac.track.clean import Clean, on_clock
 from ssac.track.motion import PointMotion
 
@@ -191,3 +193,79 @@ def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusa
             tuple(guess.t_d_s for guess in rivals),
         )
     return None
+
+
+def large_jump(views: TwoViews) -> ClockJump | None:
+    """Find a jump of camera 2's clock that is too large for any one offset to match the views.
+
+    A jump leaves one half of the shorter recording alone. Its offset and F are found first; then
+    the instant, and the offsets on both sides, that fit best with this F, and again with F of the
+    longer part. It is a jump where the other part, to which F was not fitted, agrees with F as the
+    path of one object does, at an offset of its own only.
+    """
+    if views.alone.repeats or views.alone.are_straight:
+        return None
+    half, rules = _half_without_jump(views), views.rules
+    if half is None:
+        return None
+    t_d_s, span_s = half
+    jump, cost = ClockJump(np.nan, 0.0, np.nan, t_d_s, t_d_s), np.inf
+    for _ in range(rules.clock.large_rounds):
+        pairs = views.pairs_at(t_d_s).between(*span_s)
+        if len(pairs) < rules.search.min_pairs_of_pose:
+            return None
+        jump, cost, is_first = _best_jump(views, pairs, jump)
+        before_s, after_s = (-np.inf, jump.at_s), (jump.at_s, np.inf)
+        t_d_s, span_s = (jump.before_s, before_s) if is_first else (jump.after_s, after_s)
+    parts = (jump.before_s, before_s), (jump.after_s, after_s)
+    n_swings = min(views.swings(views.pairs_at(at_s).between(*part_s)) for at_s, part_s in parts)
+    is_sure = cost <= rules.all_offsets.max_cost and n_swings >= views.config.min_swings
+    return jump if is_sure else None
+
+
+def _half_without_jump(views: TwoViews) -> tuple[float, Interval] | None:
+    """Give the offset of the half that matches better, and when that is on camera 1's clock."""
+    spans_s, rules = [motion.span_s for motion in views.motions], views.rules.all_offsets
+    shorter = int(np.ptp(spans_s[1]) < np.ptp(spans_s[0]))
+    first_s, last_s = spans_s[shorter]
+    middle_s, halves = 0.5 * (first_s + last_s), []
+    for start_s, end_s in ((first_s, middle_s), (middle_s, last_s)):
+        spans_s[shorter] = start_s, end_s
+        found = search_all_offsets(*views.motions, rules, spans_s=(spans_s[0], spans_s[1]))
+        if _refusal(found, False, rules) is None:
+            best = found.guesses[0]
+            late_s = shorter * best.t_d_s
+            halves.append((best.cost, best.t_d_s, (start_s - late_s, end_s - late_s)))
+    return min(halves)[1:] if halves else None
+
+
+def _best_jump(views: TwoViews, own: PairsAt, last: ClockJump) -> tuple[ClockJump, float, bool]:
+    """Find the jump that fits best with F of one part's pairs, near the last one and at large.
+
+    Beside it the cost of the other, shorter part, infinite where another offset rivals, and whether
+    the longer part is the first.
+    """
+    rules, (p1_px, p2_px) = views.rules.clock, own.points_px
+    F = reweighted_fundamental(p1_px, p2_px)
+    width_px = min(width_of(p1_px), width_of(p2_px))
+    scale_px = robust_deviation(epipolar_distance(F, p1_px, p2_px)) + 1e-12
+    wide_s = np.arange(-rules.large_jump_s, rules.large_jump_s, rules.large_step_s)
+    near_s = np.arange(-rules.large_step_s, rules.large_step_s, FINE_STEP_S)
+    offsets_s = np.concatenate([own.t_d_s + wide_s, last.before_s + near_s, last.after_s + near_s])
+    times_s = views.sample_times(np.array([own.t_d_s]))[0]
+    track1 = views.motion1.at(times_s)
+    times_s = times_s[track1.valid]
+    track2 = views.motion2.at(views.on_clock_2(times_s, offsets_s[:, None]))
+    distances_px = epipolar_distance(F, track1.positions_px[track1.valid], track2.positions_px)
+    distances_px = np.where(track2.valid, distances_px, width_px)
+    losses = np.cumsum(np.log1p((distances_px / scale_px) ** 2), axis=1)
+    before, after = losses[:, :-1], losses[:, -1:] - losses[:, :-1]
+    k = int(np.argmin(np.min(before, axis=0) + np.min(after, axis=0)))  # the last one before
+    is_first = 2 * k > len(times_s)
+    costs = np.median(distances_px[:, k + 1 :] if is_first else distances_px[:, : k + 1], axis=1)
+    before_s, after_s = (float(offsets_s[np.argmin(sums[:, k])]) for sums in (before, after))
+    size_s, other_s = after_s - before_s, after_s if is_first else before_s
+    jump = ClockJump(float(np.mean(times_s[k : k + 2])), size_s, np.nan, before_s, after_s)
+    is_other = np.abs(offsets_s - other_s) > 0.5 * abs(size_s)
+    is_rivalled = np.any(costs[is_other] < rules.large_rival * np.min(costs))
+    return jump, np.inf if is_rivalled else float(np.min(costs)) / width_px, is_first

@@ -54,6 +54,12 @@ class PairsAt:
         """p1 and p2, each (n, 2)."""
         return self.p1_px, self.p2_px
 
+    def between(self, first_s: float, last_s: float) -> "PairsAt":
+        """Give the pairs from one time [s] of camera 1's clock up to another."""
+        inside = (self.times_s >= first_s) & (self.times_s < last_s)
+        points_px = self.p1_px[inside], self.p2_px[inside]
+        return PairsAt(self.t_d_s, self.times_s[inside], *points_px)
+
     def rays(self, rig: Rig) -> tuple[Array, Array]:
         """Directions (n, 3), z = 1, of p1 and p2, each in its camera's frame."""
         return rays_of(rig.cam1.K, self.p1_px), rays_of(rig.cam2.K, self.p2_px)

@@ -10,6 +10,7 @@ from ssac.camera import Camera
 from ssac.config import Config
 from ssac.estimate import SETTLED_BY, Estimate, Status
 from ssac.pipeline.retries import by_several, other_ways
+from ssac.points import PointTrack
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
@@ -24,7 +25,7 @@ from tests.ssac.synthetic import (
     make_scene,
     rotation_angle_deg,
 )
-from tests.ssac.tracks import frame_track
+from tests.ssac.tracks import frame_track, frame_tracks
 
 T_D_S = 0.05
 SCENE = make_scene(1, duration_s=8.0)
@@ -69,6 +70,18 @@ def test_a_track_at_another_rate_is_found():
     result = ssac.sync(*tracks, [CAMERA, CAMERA])
     assert result.status == Status.OK
     assert 1.0 + 1e-6 * result.skew_ppm == pytest.approx(0.71, abs=1e-3)
+
+
+@pytest.mark.parametrize("size_s", [0.1, 0.3])
+def test_a_track_whose_clock_jumps_by_much_is_refused_with_time_and_size(size_s):
+    one, other = frame_tracks(make_scene(1, duration_s=12.0), 5.0)
+    late_s = size_s * (other.times_s >= 11.0)
+    result = ssac.sync(one, PointTrack(other.times_s + late_s, other.points_px), [CAMERA, CAMERA])
+    assert result.status == Status.CLOCK_JUMP
+    jump = result.estimate.jump
+    assert f"at {jump.at_s:.2f} s of camera 1's clock" in result.reason
+    assert jump.at_s == pytest.approx(6.0, abs=0.2)
+    assert jump.size_s == pytest.approx(size_s, abs=0.003)
 
 
 def test_few_events_are_enough_where_there_is_no_noise():

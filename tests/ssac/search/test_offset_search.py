@@ -13,6 +13,7 @@ from ssac.points import PointTrack
 from ssac.rules import AllOffsetsRules, PointRules, SearchRules
 from ssac.search import offset_search
 from ssac.search.all_offsets import search_all_offsets
+from ssac.search.start import large_jump
 from ssac.search.two_views import TwoViews
 from ssac.search.view import seen_by_both, seen_of
 from ssac.track.motion import object_motion, point_motion
@@ -193,6 +194,36 @@ def test_any_offset_is_found_and_no_other_comes_near(offset_s):
     assert best.t_d_s == pytest.approx(offset_s, abs=0.02)  # half a frame
     assert best.cost < OF_ALL.max_cost
     assert all(one.cost > OF_ALL.rival * best.cost for one in found.guesses[1:])
+
+
+def views_with_jump(at_s, size_s, last_s=(np.inf, np.inf), other=1):
+    """Two tracks of 20 s, of which camera 2's clock jumps at a time of camera 1's."""
+    one, other = frame_tracks(make_scene(1), T_D_S)[0], frame_tracks(make_scene(other), T_D_S)[1]
+    times_s = other.times_s + size_s * (other.times_s >= at_s + T_D_S)
+    tracks = one, PointTrack(times_s, other.points_px)
+    cut = (
+        PointTrack(track.times_s[track.times_s < end_s], track.points_px[track.times_s < end_s])
+        for track, end_s in zip(tracks, last_s, strict=True)
+    )
+    return TwoViews(*map(of_points, cut), SCENE.rig, Config())
+
+
+@pytest.mark.parametrize("size_s", [0.06, 0.3])
+@pytest.mark.parametrize(
+    ("at_s", "last_s"), [(12.0, (20.0, 30.0)), (7.0, (20.0, 16.0)), (5.0, (12.0, 30.0))]
+)
+def test_a_large_jump_is_found_with_its_time_and_size(at_s, last_s, size_s):
+    jump = large_jump(views_with_jump(at_s, size_s, last_s))
+    assert jump.at_s == pytest.approx(at_s, abs=0.2)  # four samples
+    assert jump.before_s == pytest.approx(T_D_S, abs=0.003)  # steps of 1 ms, and noise
+    assert jump.after_s == pytest.approx(T_D_S + size_s, abs=0.003)
+    assert jump.size_s == pytest.approx(jump.after_s - jump.before_s)
+
+
+def test_no_jump_is_found_of_one_offset_nor_of_different_objects():
+    assert large_jump(views_with_jump(10.0, 0.0)) is None
+    assert large_jump(views_with_jump(19.5, 0.2)) is None  # too late to tell
+    assert all(large_jump(views_with_jump(10.0, 0.2, other=other)) is None for other in (2, 3))
 
 
 def test_candidates_ascend_and_cover_all_offsets_and_progress_is_told_up_to_the_end():
