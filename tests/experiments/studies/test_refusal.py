@@ -124,8 +124,6 @@ def test_every_kind_has_a_flight():
 # --- Whether refusals say why ---
 
 CELLS = reason_cells(base=1, recordings=1)
-# A jump of 0.2 s within 12 s of a track may leave no offset that fits either side.
-_FAILS = pytest.mark.xfail(reason="the search over all offsets knows no jumps")
 
 
 @pytest.fixture(scope="module")
@@ -134,13 +132,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize(
-    "cell",
-    [
-        pytest.param(one, id=one.kind, marks=[_FAILS] if one.kind == "clock jumps, tracks" else [])
-        for one in CELLS
-    ],
-)
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.kind)
 def test_a_refusal_names_its_cause_and_its_advice_works(cell: KindCell, cache: Cache) -> None:
     row = reason_row(cell, cache)
     assert row.is_named or row.is_right, row.reason
