@@ -171,7 +171,7 @@ def ordinary_answered(results: Results) -> str:
 # --- Whether refusals name their causes, and whether their advice works ---
 
 
-BASE = 61
+BASE = 61  # of which some choices were made, as of 62
 N_RECORDINGS = 20  # of each cause
 REASONS_FIRST_FLIGHT, BASE_STEP = 60_000, 100
 ALL = "all"  # kind of the row over all causes
