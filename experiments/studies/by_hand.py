@@ -4,7 +4,7 @@ A user should not need a setting that the default could have found out. Of each 
 drawn from its number, the default is judged; where it is not right, eight settings are tried that
 a user would try.
 
-    ssac by-hand                                          # what is committed; kinds take turns
+    ssac by-hand --recordings 108                         # what is committed; kinds take turns
     ssac by-hand --base 1 --recordings 72 --out out       # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 """
@@ -39,7 +39,7 @@ from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
-BASE, N_RECORDINGS = 200, 180
+BASE, N_RECORDINGS, N_COMMITTED = 200, 600, 108
 """No choice was made on flights of this base; on those of 1, 100 and 101 some were."""
 
 UNASKED = "default"
@@ -305,6 +305,7 @@ STUDIES = (
             made_of("by_hand.png", hand_figure, "by_hand"),
         ),
         command="ssac by-hand",
+        committed={"recordings": N_COMMITTED},
         shows="by_hand",
         again=False,
         numbers={
