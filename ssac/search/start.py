@@ -215,9 +215,8 @@ def large_jump(views: TwoViews) -> ClockJump | None:
         if len(pairs) < rules.search.min_pairs_of_pose:
             return None
         jump, cost, is_first = _best_jump(views, pairs, jump)
-        before_s, after_s = (-np.inf, jump.at_s), (jump.at_s, np.inf)
-        t_d_s, span_s = (jump.before_s, before_s) if is_first else (jump.after_s, after_s)
-    parts = (jump.before_s, before_s), (jump.after_s, after_s)
+        parts = (jump.before_s, (-np.inf, jump.at_s)), (jump.after_s, (jump.at_s, np.inf))
+        t_d_s, span_s = parts[0 if is_first else 1]
     n_swings = min(views.swings(views.pairs_at(at_s).between(*part_s)) for at_s, part_s in parts)
     is_sure = cost <= rules.all_offsets.max_cost and n_swings >= views.config.min_swings
     return jump if is_sure else None
