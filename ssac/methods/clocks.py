@@ -16,7 +16,7 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.clock import PPM, Clock
-from ssac.estimate import SETTLED_BY, ClockJump, Estimate, Status
+from ssac.estimate import SETTLED_BY, ClockJump, Estimate, Refusal, Status
 from ssac.fit.least_squares import (
     FIRST_COLUMN,
     T_D,
@@ -31,7 +31,7 @@ from ssac.fit.least_squares import (
 )
 from ssac.geometry.epipolar import CAUCHY, robust_deviation
 from ssac.methods.algorithms import algorithm_1, algorithm_2
-from ssac.methods.verdict import jumped
+from ssac.methods.verdict import jumped, refused
 from ssac.rules import ClockRules
 from ssac.search.two_views import Shutters, TwoViews, shutters_of
 
@@ -236,6 +236,14 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
     least = rules.fewer_sigmas if is_far else rules.jump_sigmas
     if abs(size_s) < max(rules.min_jump_s, least * std_s):
         return estimate
+    skew_ppm = _better_skew_ppm(problem, start, linearise(with_step, found))
+    if len(model.deviations) == 1 and skew_ppm is not None:
+        reason = (
+            f"camera 2's clock fits better with a skew of {skew_ppm:+.0f} ppm than with a jump, far"
+            f" beyond the prior deviation of {model.deviations[0] / PPM:g} ppm: give a larger one"
+            " (--skew-prior)"
+        )
+        return refused(estimate, Refusal(Status.POOR_FIT, reason))
     before_s = float(model.clock(found).cam2_from_cam1(at_s)) - at_s
     return jumped(estimate, ClockJump(at_s, size_s, std_s, before_s, before_s + size_s))
 
@@ -270,6 +278,18 @@ def _with_step(problem: Problem, later: Any) -> Problem:
     moves_px = later[:, None] * pairs.v2_px_s
     step = Column(np.zeros_like(pairs.p1_px), moves_px, is_of_clock=True)
     return replace(problem, columns=(*problem.columns, step))
+
+
+def _better_skew_ppm(problem: Problem, start: Parameters, stepped: Residuals) -> float | None:
+    """Give the skew [ppm] that fits better, if nothing is known of it, than a step; else None."""
+    priors = tuple(prior for prior in problem.priors if prior.place != FIRST_COLUMN)
+    open_one = replace(problem, priors=priors)
+    skewed = linearise(open_one, solve(open_one, start).parameters)
+    scale_px = max(robust_deviation(stepped.distances_px), 1e-12)
+    by_skew, by_step = (
+        np.sum(np.log1p((one.distances_px / scale_px) ** 2)) for one in (skewed, stepped)
+    )
+    return float(skewed.parameters.columns[0]) / PPM if by_skew < by_step else None
 
 
 def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRules) -> float:

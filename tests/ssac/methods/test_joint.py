@@ -266,6 +266,14 @@ def test_a_jump_is_refused_with_its_time_and_size(size_s):
     assert found.delayed(0.1).jump.before_s == pytest.approx(jump.before_s + 0.1)
 
 
+@pytest.mark.parametrize("skew_ppm", [1000.0, -1000.0])
+def test_a_clock_that_runs_fast_is_not_said_to_jump(skew_ppm):
+    found = refine(START, views_of(Clock(T_D_S, skew_ppm, MIDDLE_S)))  # 20 ms at both ends
+    assert (found.status, found.has_offset) == ("poor_fit", False)
+    said_ppm = float(found.reason.partition("a skew of ")[2].partition(" ppm")[0])
+    assert said_ppm == pytest.approx(skew_ppm, rel=0.05)  # to first order in its move
+
+
 def test_a_clock_of_pieces_follows_one_that_wanders():
     wanders = Clock(T_D_S, 300.0, MIDDLE_S, KNOTS_S, 0.001 * np.sin(KNOTS_S / 6.0))
     found = refine(START, views_of(wanders, **PIECES))
