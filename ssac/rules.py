@@ -371,8 +371,10 @@ class VerdictRules:
     max_against: float = 4.0
     in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
     max_against_less_sure: float = 2.5  # of these
-    least_focal: float = 0.01  # share by which focal lengths are known, of a careless calibration
-    least_centre_px: float = 5.0  # the same of the centre
+    # How well a rig is known at most that is clearly wrong, focal lengths as a share and centres,
+    # as little tells of it: by 34 such of `ssac by-hand`, bases 100, 101 and 200.
+    least_focal: float = 0.03
+    least_centre_px: float = 10.0
 
 
 @dataclass(frozen=True)

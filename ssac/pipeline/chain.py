@@ -286,7 +286,7 @@ class Chain:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        is_mended = mended.estimate.against <= config.rules.verdict.in_doubt
+        is_mended = not mended.misfit and mended.estimate.against <= config.rules.verdict.in_doubt
         if mended.estimate.status != Status.OK or not is_mended:
             return answer
         return answer.because(f"all agrees if {hint}")

@@ -164,7 +164,7 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
     """Give a rig that is as uncertain as an estimate says, as far as that is ordinary.
 
     What hardly speaks against a rig may be of far other intrinsics, too; what speaks clearly is
-    refused where these are not as near as those of a careless calibration.
+    refused where these are further than a wrong rig is given.
     """
     is_clear, cameras = found.against > rules.max_against, []
     for camera in (rig.cam1, rig.cam2):

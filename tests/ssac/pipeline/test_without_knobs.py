@@ -92,7 +92,7 @@ def test_few_events_are_enough_where_there_is_no_noise():
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
 
 
-@pytest.mark.parametrize("share", [0.05, 0.1, -0.1])
+@pytest.mark.parametrize("share", [0.05, 0.1, -0.1, 0.3])
 def test_no_wrong_focal_length_is_believed(events, share):
     estimate = ssac.sync(*events, [longer(CAMERA, share), UNSTATED]).estimate
     if estimate.status == Status.OK:  # as of a calibration that is less certain
@@ -101,8 +101,7 @@ def test_no_wrong_focal_length_is_believed(events, share):
 
 def test_a_wrong_focal_length_is_named(events):
     result = ssac.sync(*events, [longer(CAMERA, 0.3), UNSTATED])
-    assert result.status == Status.POOR_FIT
-    assert "camera 1's focal length wants to be 23 % shorter" in result.reason  # 1 / 1.3
+    assert "camera 1's focal length wants to be 23 % shorter" in result.note  # 1 / 1.3
 
 
 def test_intrinsics_in_doubt_widen_the_deviations(events):
