@@ -123,6 +123,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "closer": "several_objects clock_jump no_match poor_fit ambiguous_offset",
         "one object": "no_motion too_few_samples too_little_motion no_convergence no_match "
         "poor_fit ambiguous_offset",
+        "longer windows": "degenerate_pose",
         "few events": "no_motion too_few_samples too_little_motion",
         "noise": "several_objects clock_jump no_match poor_fit ambiguous_offset degenerate_pose",
         "lost": "no_motion too_few_samples",

@@ -182,6 +182,14 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
 
 
+@pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
+def test_longer_windows_are_tried_where_offset_and_pose_are_open(events, t_d_std_s, is_tried):
+    seen = tuple(denoised(one) for one in events)
+    found = Estimate("joint", Status.DEGENERATE_POSE, "why", T_D_S, t_d_std_s=t_d_std_s)
+    ways = other_ways(Config(), seen, found)
+    assert any(way == Config(half_window_s=0.04) for way in ways) is is_tried
+
+
 @pytest.mark.parametrize(
     ("status", "things", "said"),
     [
