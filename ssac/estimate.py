@@ -46,8 +46,8 @@ class Status(str, Enum):
     )
     SEARCH_BOUND = (
         "search_bound",
-        "the best offset lies at a bound of the search: widen it",
-        "widen --search, or give --search-all",
+        "the best offset lies at a bound of the search, or of what both have in common",
+        "widen --search, or give --search-all; or record longer",
     )
     TOO_LITTLE_MOTION = (
         "too_little_motion",
@@ -123,7 +123,6 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "closer": "several_objects clock_jump no_match poor_fit ambiguous_offset",
         "one object": "no_motion too_few_samples too_little_motion no_convergence no_match "
         "poor_fit ambiguous_offset",
-        "longer windows": "degenerate_pose",
         "few events": "no_motion too_few_samples too_little_motion",
         "noise": "several_objects clock_jump no_match poor_fit ambiguous_offset degenerate_pose",
         "lost": "no_motion too_few_samples",

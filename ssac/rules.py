@@ -589,8 +589,8 @@ class RetryRules:
     any_rate: tuple[float, float] = (0.5, 2.0)  # of a track, by the other camera's
     fast_rates: tuple[float, float] = (0.9967, 1.0033)  # of events: up to 3000 ppm and a tenth
     longer_s: float = 0.04  # half of a window, of an object that gives few events, or is large
-    # Deviation of an offset beside an open pose, from which on longer windows may tell both: by
-    # large objects of `ssac by-hand`, bases 100 and 200.
+    # Deviation of an offset beside an open pose, from which on longer windows or a fast clock may
+    # tell both: by large objects of `ssac by-hand`, bases 100 and 200.
     vague_s: float = 0.003
     longest_s: float = 0.05
     few_neighbours: int = 3  # of its events

@@ -50,7 +50,7 @@ def other_clocks(
         return
     is_far = abs(found.skew_ppm) > rules.far_skew * config.prior_ppm
     if asked.skew_prior_ppm is None and not of_track:
-        if is_far or found.status in SETTLED_BY[FAST]:
+        if is_far or is_vague(found, rules) or found.status in SETTLED_BY[FAST]:
             yield FAST, replace(config, skew_prior_ppm=rules.fast_ppm)
     elif asked.clock == "auto" and of_track and found.status in SETTLED_BY[WANDERING]:
         rougher = (one for one in rules.roughnesses_ppm if one > config.roughness_ppm)
@@ -71,9 +71,14 @@ def other_rates(
 def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:
     """Whether another clock's answer holds; a fast one must be faster than a jump looks."""
     is_slow = abs(by_other.skew_ppm) < rules.least_fast_ppm
-    return by_other.has_offset and not (
-        clock == FAST and found.status == Status.CLOCK_JUMP and is_slow
-    )
+    if clock == FAST and found.status == Status.CLOCK_JUMP and is_slow:
+        return False
+    return by_other.has_offset and not (is_vague(found, rules) and is_vague(by_other, rules))
+
+
+def is_vague(found: Estimate, rules: RetryRules) -> bool:
+    """Whether the pose is open, and the offset as good as open too: all refinements failed, say."""
+    return found.status == Status.DEGENERATE_POSE and not found.t_d_std_s <= rules.vague_s
 
 
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
@@ -133,8 +138,7 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
     backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
     is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
     is_thin = found.status in SETTLED_BY["few events"]
-    is_vague = not found.t_d_std_s <= rules.retry.vague_s
-    if is_thin or (is_vague and found.status in SETTLED_BY["longer windows"]):
+    if is_thin or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
     hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
     if is_thin or (hides_part and found.status in SETTLED_BY["noise"]):

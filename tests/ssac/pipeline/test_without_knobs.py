@@ -9,7 +9,7 @@ import ssac
 from ssac.camera import Camera
 from ssac.config import Config
 from ssac.estimate import SETTLED_BY, Estimate, Status
-from ssac.pipeline.retries import by_several, other_ways
+from ssac.pipeline.retries import by_several, other_clocks, other_ways
 from ssac.points import PointTrack
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
@@ -183,11 +183,13 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
-def test_longer_windows_are_tried_where_offset_and_pose_are_open(events, t_d_std_s, is_tried):
+def test_more_is_tried_where_the_offset_is_as_open_as_the_pose(events, t_d_std_s, is_tried):
     seen = tuple(denoised(one) for one in events)
     found = Estimate("joint", Status.DEGENERATE_POSE, "why", T_D_S, t_d_std_s=t_d_std_s)
     ways = other_ways(Config(), seen, found)
     assert any(way == Config(half_window_s=0.04) for way in ways) is is_tried
+    clocks = other_clocks(Config(), Config().resolved(has_track=False), False, found)
+    assert [name for name, _ in clocks] == ["fast"] * is_tried
 
 
 @pytest.mark.parametrize(
