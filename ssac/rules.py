@@ -307,6 +307,7 @@ class AllOffsetsRules:
     apart_steps: float = 5.0  # between offsets that are two
     worth: float = 0.85  # of the cost at the rate that is said: less is worth another rate
     rival: float = 2.0  # offsets whose cost is below this many times the least may be the true one
+    most_rivals: int = 4  # with the best, of which one may be told by refining all
     max_cost: float = 0.12  # of the best offset, above which the views show no one path
     reach_s: float = 0.5  # on each side of the offset found, in which a method searches; or
     reach_steps: float = 4.0

@@ -65,6 +65,15 @@ def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, sk
         assert abs(result.t_d_s - T_D_S - later_s) < 4.0 * result.t_d_std_s
 
 
+def test_one_of_several_offsets_is_told_by_refining_each(events):
+    plain = Config(search="all")
+    rivalled = replace(plain.rules.all_offsets, rival=15.0)  # of 0.05 s, by 6.31 s
+    config = replace(plain, rules=replace(plain.rules, all_offsets=rivalled))
+    alone, of_two = (ssac.sync(*events, [CAMERA, CAMERA], config=one) for one in (plain, config))
+    assert of_two.status == Status.OK
+    assert of_two.t_d_s == alone.t_d_s
+
+
 def test_a_track_at_another_rate_is_found():
     tracks = frame_track(SCENE, 1, 25.0, 0.0), frame_track(SCENE, 2, 30.0, 3.0, 0.71)
     result = ssac.sync(*tracks, [CAMERA, CAMERA])
