@@ -63,6 +63,16 @@ class Camera:
         pu, pv = self.K[:2, 2]
         return bool(0.0 <= pu <= self.width - 1 and 0.0 <= pv <= self.height - 1)
 
+    @property
+    def has_exchanged_centre(self) -> bool:
+        """Whether the principal point is far from the middle, and near it with u and v exchanged.
+
+        Far is a tenth of the width, beyond what lenses are off; near is half of that or less.
+        """
+        middle_px, centre_px = 0.5 * np.array([self.width - 1, self.height - 1]), self.K[:2, 2]
+        off_px, exchanged_px = np.linalg.norm([centre_px, centre_px[::-1]] - middle_px, axis=1)
+        return bool(off_px > 0.1 * self.width and exchanged_px < 0.5 * off_px)
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -199,6 +209,19 @@ def check_cameras(rig: Cameras) -> None:
     for k, step in enumerate(rig.steps, start=1):
         if step is not None:
             check_transform(_floats(step), f"{rig.name}, from camera {k} to camera {k + 1}")
+
+
+def check_centres(rig: Cameras) -> None:
+    """Raise SsacError for a principal point that seems exchanged, if nothing else is stated."""
+    for k, camera in enumerate(rig.cameras, start=1):
+        if camera.has_exchanged_centre and not camera.states_intrinsics:
+            pu, pv = camera.K[:2, 2]
+            raise SsacError(
+                f"camera {k}: the principal point, ({pu:g}, {pv:g}) px, lies far from the middle of"
+                f" the image of {camera.width} x {camera.height} px, and ({pv:g}, {pu:g}) px near"
+                " it: exchange the two in the rig; or, if they are right, state deviations"
+                " (intrinsics_std, --centre-std)"
+            )
 
 
 def check_transform(T: Array, name: str) -> None:

@@ -12,7 +12,7 @@ a user would try.
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ from experiments.drawing.style import Figure, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure
 from experiments.lab.command import command_of
+from experiments.lab.recorded import Pair
 from experiments.lab.score import Truth
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
@@ -32,7 +33,7 @@ from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import ImperfectRow, given_columns, held_shares
 from experiments.worlds.odd import KINDS, SHORT_S, WRONG_RIG, OddCell, drawn, recorded, truth_of
 from ssac.arrays import Array, Mask
-from ssac.camera import with_deviations
+from ssac.camera import Rig, with_deviations
 from ssac.cli.options import flag, named, number
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -134,16 +135,25 @@ def hand_cells(
 class Tried:
     """A recording, and what settings say of it."""
 
-    chain: Chain
+    pair: Pair
     truth: Truth
+
+    @cached_property
+    def chain(self) -> Chain:
+        """What all settings share that leave the rig as it is; SsacError if that is unusable."""
+        return Chain((self.pair.cam1, self.pair.cam2), self.pair.rig)
 
     def said(self, setting: Setting) -> HandRow:
         """Run a setting, and score what it says."""
-        chain = self.chain
-        if setting.deviations != (None, None):
-            cameras = (with_deviations(one, *setting.deviations) for one in chain.rig.cameras)
-            cleans = chain.clean(0), chain.clean(1)
-            chain = Chain(cleans, replace(chain.rig, cameras=tuple(cameras)))
+        pair = self.pair
+        if setting.deviations == (None, None):
+            chain = self.chain
+        else:
+            one, other = (
+                with_deviations(camera, *setting.deviations)
+                for camera in (pair.rig.cam1, pair.rig.cam2)
+            )
+            chain = Chain((pair.cam1, pair.cam2), Rig(one, other, pair.rig.T_2_1))
         start_s = time.process_time()
         estimate = chain.under(setting.config).estimate(setting.method)
         cpu_s = time.process_time() - start_s
@@ -160,8 +170,7 @@ class Tried:
 def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
     """Load the recording that the cells share."""
     pair = recorded(cells[0].recording, cache)
-    truth = truth_of(cells[0].recording, pair)
-    return Tried(Chain((pair.cam1, pair.cam2), pair.rig), truth)
+    return Tried(pair, truth_of(cells[0].recording, pair))
 
 
 def hand_row(cell: HandCell, tried: Tried) -> HandRow:

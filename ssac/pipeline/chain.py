@@ -21,7 +21,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Camera, Cameras, Rig, check_cameras
+from ssac.camera import Camera, Cameras, Rig, check_cameras, check_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -91,6 +91,7 @@ class Chain:
             raise SsacError(f"cameras: expected a list of recordings, got {kind_of(cameras)}")
         self.sources = tuple(cameras)
         self.rig = cameras_of(rig)
+        check_centres(self.rig)
         self.config = validated(config)
         self.watch = Stopwatch(log)
         self._kept: dict[Hashable, Any] = {}

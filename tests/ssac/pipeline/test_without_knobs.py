@@ -44,6 +44,11 @@ def longer(camera, share):
     return Camera(K_longer, camera.width, camera.height)
 
 
+def with_centre(pu_px, pv_px):
+    """Give a camera with another principal point, and nothing stated of it."""
+    return Camera(np.array([[K[0, 0], 0.0, pu_px], [0.0, K[1, 1], pv_px], K[2]]), WIDTH, HEIGHT)
+
+
 @pytest.mark.parametrize(
     ("later_s", "skew_ppm", "duration_s"),
     [
@@ -142,9 +147,16 @@ def test_focal_lengths_that_are_no_camera_s_are_refused(events, focal):
 
 
 def test_a_principal_point_outside_of_the_image_is_told(events):
-    far = Camera(K + np.array([[0.0, 0.0, 300.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), WIDTH, HEIGHT)
-    note = ssac.sync(*events, [far, UNSTATED]).note
+    few = [one[:100] for one in events]  # enough for what only looks at the rig
+    note = ssac.sync(*few, [with_centre(473.0, 130.0), UNSTATED]).note
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
+
+
+def test_a_principal_point_that_is_exchanged_is_refused_unless_its_deviation_is_stated(events):
+    few, cameras = [one[:100] for one in events], [UNSTATED, with_centre(130.0, 173.0)]
+    with pytest.raises(ssac.SsacError, match=r"camera 2: .*\(173, 130\) px near it: exchange"):
+        ssac.sync(*few, cameras)
+    assert ssac.sync(*few, cameras, centre_std_px=1.0).status != Status.OK  # too few, but tried
 
 
 @pytest.mark.parametrize("seen_hz", [150.0, 0.0])
