@@ -5,7 +5,7 @@ drawn from its number, the default is judged; where it is not right, eight setti
 a user would try.
 
     ssac by-hand --recordings 108                         # what is committed; kinds take turns
-    ssac by-hand --base 1 --recordings 72 --out out       # numbers 0 to 71 of another base
+    ssac by-hand --base 1 --first 0 --recordings 72 --out out    # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 """
 
@@ -40,8 +40,8 @@ from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
-BASE, N_RECORDINGS, N_COMMITTED = 200, 600, 108
-"""No choice was made on flights of this base; on those of 1, 100 and 101 some were."""
+BASE, FIRST, N_RECORDINGS, N_COMMITTED = 300, 216, 600, 108
+"""No choice was made on these; on those before, and bases 1 to 5, 100, 101 and 200, some were."""
 
 UNASKED = "default"
 SPARED = "spared"
@@ -111,7 +111,7 @@ class HandRow(ImperfectRow):
 
 def hand_cells(
     base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = BASE,
-    first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = 0,
+    first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = FIRST,
     recordings: Annotated[
         int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")
     ] = N_RECORDINGS,
