@@ -65,12 +65,13 @@ class Start:
         """Begin at each of several offsets that fit about as well; none where this tells nothing.
 
         The positions of a large object stray so much that a false offset fits half as well as the
-        true one; what is refined tells them apart, unless the path repeats itself.
+        true one; what is refined tells them apart, unless the path repeats itself. Where the best
+        one fits well in spite of others, as on a helix, the path is as good as one that does.
         """
         is_open = self.refusal is not None and self.refusal.status == Status.AMBIGUOUS_OFFSET
-        if not is_open or views.alone.repeats:
-            return []
         rules, apart = views.rules.all_offsets, list[Guess]()
+        if not is_open or views.alone.repeats or self.guess.cost < rules.least_strayed:
+            return []
         for one in self.found.guesses:
             is_near = any(abs(one.t_d_s - other.t_d_s) <= rules.reach_s for other in apart)
             if one.cost < rules.rival * self.guess.cost and not is_near:
