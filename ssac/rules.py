@@ -307,10 +307,6 @@ class AllOffsetsRules:
     apart_steps: float = 5.0  # between offsets that are two
     worth: float = 0.85  # of the cost at the rate that is said: less is worth another rate
     rival: float = 2.0  # offsets whose cost is below this many times the least may be the true one
-    most_rivals: int = 4  # with the best, of which one may be told by refining all
-    # Cost from which on positions stray: helices of `ssac study refusal` have 0.006 at most, and
-    # large objects of `ssac by-hand`, base 300, 0.02 or more.
-    least_strayed: float = 0.015
     max_cost: float = 0.12  # of the best offset, above which the views show no one path
     reach_s: float = 0.5  # on each side of the offset found, in which a method searches; or
     reach_steps: float = 4.0

@@ -314,29 +314,15 @@ class Chain:
             pair = replace(pair, config=replace(config, interval_s=overlapping(cleans)))
         elif refusal is None and tries_all:
             start = self._start(pair, views)
-            found = self._of_several(pair, start.rivals(views))
-            if found is not None:
-                return found
-            pair, refusal = self._begun(pair, start), start.refusal
+            pair, refusal = replace(pair, start=start), start.refusal
+            if start.has_guess:
+                key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
+                other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
+                near = start.config(config)
+                if not self._searches_all(*cleans):  # nobody asked for all: as much must be seen
+                    near = replace(near, min_swings=config.min_swings)
+                pair = replace(pair, seen=(cleans[0], other), config=near)
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
-
-    def _begun(self, pair: _Pair, start: Start, of_several: bool = False) -> _Pair:
-        """Begin near the best of all offsets, with camera 2 on a clock that runs as camera 1's."""
-        pair, cleans = replace(pair, start=start), pair.cleans
-        if not start.has_guess:
-            return pair
-        key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
-        other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
-        near = start.config(pair.config)
-        if of_several or not self._searches_all(*cleans):  # not asked for: as much must be seen
-            near = replace(near, min_swings=pair.config.min_swings)
-        return replace(pair, seen=(cleans[0], other), config=near)
-
-    def _of_several(self, pair: _Pair, starts: list[Start]) -> Answer | None:
-        """Answer from the only one of several offsets at which the method holds, if it is that."""
-        answers = [self._refined(self._begun(pair, one, of_several=True)) for one in starts]
-        held = [one for one in answers if one.estimate.has_offset]
-        return held[0] if len(held) == 1 and held[0].estimate.status == Status.OK else None
 
     def _refined(self, pair: _Pair) -> Answer:
         """Run the method, with other clocks where its own fits ill, and with a less certain rig."""

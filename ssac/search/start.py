@@ -61,24 +61,6 @@ class Start:
             said += f"; the next best fits {others[0].cost / guess.cost:.1f} times worse"
         return said
 
-    def rivals(self, views: TwoViews) -> list["Start"]:
-        """Begin at each of several offsets that fit about as well; none where this tells nothing.
-
-        The positions of a large object stray so much that a false offset fits half as well as the
-        true one; what is refined tells them apart, unless the path repeats itself. Where the best
-        one fits well in spite of others, as on a helix, the path is as good as one that does.
-        """
-        is_open = self.refusal is not None and self.refusal.status == Status.AMBIGUOUS_OFFSET
-        rules, apart = views.rules.all_offsets, list[Guess]()
-        if not is_open or views.alone.repeats or self.guess.cost < rules.least_strayed:
-            return []
-        for one in self.found.guesses:
-            is_near = any(abs(one.t_d_s - other.t_d_s) <= rules.reach_s for other in apart)
-            if one.cost < rules.rival * self.guess.cost and not is_near:
-                apart.append(one)
-        starts = [replace(self, found=replace(self.found, guesses=[one])) for one in apart]
-        return [replace(one, refusal=None) for one in starts if len(starts) <= rules.most_rivals]
-
     def config(self, config: Config) -> Config:
         """Search near the guess."""
         rules, t_d_s = config.rules.all_offsets, self.guess.t_d_s

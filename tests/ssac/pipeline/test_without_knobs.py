@@ -70,20 +70,6 @@ def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, sk
         assert abs(result.t_d_s - T_D_S - later_s) < 4.0 * result.t_d_std_s
 
 
-@pytest.mark.parametrize("least_strayed", [0.0, 0.015])
-def test_one_of_several_offsets_is_told_by_refining_each_if_positions_stray(events, least_strayed):
-    plain = Config(search="all")
-    rivalled = replace(plain.rules.all_offsets, rival=15.0, least_strayed=least_strayed)
-    config = replace(plain, rules=replace(plain.rules, all_offsets=rivalled))
-    alone, of_two = (  # 0.05 s, at a cost of 0.002, and 6.31 s
-        ssac.sync(*events, [CAMERA, CAMERA], config=one) for one in (plain, config)
-    )
-    if least_strayed:
-        assert of_two.status == Status.AMBIGUOUS_OFFSET
-    else:
-        assert (of_two.status, of_two.t_d_s) == (Status.OK, alone.t_d_s)
-
-
 def test_a_track_at_another_rate_is_found():
     tracks = frame_track(SCENE, 1, 25.0, 0.0), frame_track(SCENE, 2, 30.0, 3.0, 0.71)
     result = ssac.sync(*tracks, [CAMERA, CAMERA])
