@@ -230,14 +230,16 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
             break
         at_s = moved_to_s
     size_s = float(found.columns[-1])
-    std_s = float(np.sqrt(linearise(with_step, found).covariance()[-1, -1]))
+    stepped = linearise(with_step, found)
+    std_s = float(np.sqrt(stepped.covariance()[-1, -1]))
     far = rules.far_sigmas * np.min(model.deviations[:1], initial=np.inf)
     is_far = abs(estimate.skew_ppm) * PPM >= far
     least = rules.fewer_sigmas if is_far else rules.jump_sigmas
     if abs(size_s) < max(rules.min_jump_s, least * std_s):
         return estimate
-    skew_ppm = _better_skew_ppm(problem, start, linearise(with_step, found))
-    if len(model.deviations) == 1 and skew_ppm is not None:
+    is_affine = len(model.deviations) == 1
+    skew_ppm = _better_skew_ppm(problem, start, stepped) if is_affine else None
+    if skew_ppm is not None:
         reason = (
             f"camera 2's clock fits better with a skew of {skew_ppm:+.0f} ppm than with a jump, far"
             f" beyond the prior deviation of {model.deviations[0] / PPM:g} ppm: give a larger one"
