@@ -338,10 +338,15 @@ class Chain:
         states = pair.rig.cam1.states_intrinsics or pair.rig.cam2.states_intrinsics
         is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
         if is_in_doubt and found.status in (Status.OK, Status.POOR_FIT):
-            other = replace(pair, rig=retries.less_certain(pair.rig, found, rules))
-            by_other = self._run(other)
-            if by_other.has_offset and by_other.against <= rules.max_against_less_sure:
-                pair, found, misfit = other, by_other, found.misfit
+            # What hardly speaks against a rig may be of far other intrinsics at once.
+            other, by_other, is_clear = pair, found, found.against > rules.max_against
+            for bounded in (True, False)[not is_clear :]:
+                rig = retries.less_certain(other.rig, by_other, rules, bounded=bounded)
+                other = replace(pair, rig=rig)
+                by_other = self._run(other)
+                if by_other.has_offset and by_other.against <= rules.max_against_less_sure:
+                    pair, found, misfit = other, by_other, found.misfit
+                    break
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(
             self._views(pair.seen, pair.rig.unposed, pair.config)
         )

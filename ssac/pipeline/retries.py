@@ -13,7 +13,7 @@ import numpy as np
 
 from ssac.camera import Rig, same_camera
 from ssac.config import N_MIN, Config, Interval
-from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import Clean
 from ssac.track.observation import Observation
@@ -78,7 +78,7 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
 
 def is_vague(found: Estimate, rules: RetryRules) -> bool:
     """Whether the pose is open, and the offset as good as open too: all refinements failed, say."""
-    return found.status == Status.DEGENERATE_POSE and not found.t_d_std_s <= rules.vague_s
+    return found.status in POSE_IS_OPEN and not found.t_d_std_s <= rules.vague_s
 
 
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
@@ -138,7 +138,8 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
     backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
     is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
     is_thin = found.status in SETTLED_BY["few events"]
-    if is_thin or is_vague(found, rules.retry):
+    is_open = found.status == Status.AMBIGUOUS_OFFSET or is_vague(found, rules.retry)
+    if is_thin or is_open:
         yield replace(asked, half_window_s=rules.retry.longer_s)
     hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
     if is_thin or (hides_part and found.status in SETTLED_BY["noise"]):
@@ -165,19 +166,15 @@ def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
     return replace(found, status=Status.SEVERAL_OBJECTS, reason=reason)
 
 
-def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
-    """Give a rig that is as uncertain as an estimate says, as far as that is ordinary.
-
-    What hardly speaks against a rig may be of far other intrinsics, too; what speaks clearly is
-    refused where these are further than a wrong rig is given.
-    """
-    is_clear, cameras = found.against > rules.max_against, []
+def less_certain(rig: Rig, found: Estimate, rules: VerdictRules, *, bounded: bool) -> Rig:
+    """Give a rig that is as uncertain as an estimate says; bounded, as far as that is ordinary."""
+    cameras = []
     for camera in (rig.cam1, rig.cam2):
         focals_px = np.diag(camera.K)[:2]
         most_px = np.array([*rules.least_focal * focals_px, *2 * [rules.least_centre_px]])
         stds_px = np.array(camera.intrinsics_std_px)
         wider_px = max(found.shift, 1.0) * stds_px
-        if is_clear:
+        if bounded:
             wider_px = np.maximum(stds_px, np.minimum(wider_px, most_px))
         cameras.append(replace(camera, intrinsics_std_px=tuple(wider_px.tolist())))
     return Rig(cameras[0], cameras[1], rig.T_2_1)

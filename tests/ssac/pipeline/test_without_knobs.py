@@ -8,7 +8,7 @@ import pytest
 import ssac
 from ssac.camera import Camera
 from ssac.config import Config
-from ssac.estimate import SETTLED_BY, Estimate, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.pipeline.retries import by_several, other_clocks, other_ways
 from ssac.points import PointTrack
 from ssac.track.clean import ObjectsUsed
@@ -109,6 +109,13 @@ def test_a_wrong_focal_length_is_named(events):
     assert "camera 1's focal length wants to be 23 % shorter" in result.note  # 1 / 1.3
 
 
+def test_a_rig_that_is_far_off_still_gives_an_offset(events):
+    result = ssac.sync(*events, [longer(CAMERA, 0.6), UNSTATED])
+    assert result.status == Status.DEGENERATE_POSE
+    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s < 1e-3
+    assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to a few
+
+
 def test_intrinsics_in_doubt_widen_the_deviations(events):
     sure = ssac.sync(*events, [CAMERA, CAMERA])
     less = ssac.sync(*events, [longer(CAMERA, 0.02), UNSTATED])
@@ -195,13 +202,22 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
-def test_more_is_tried_where_the_offset_is_as_open_as_the_pose(events, t_d_std_s, is_tried):
-    seen = tuple(denoised(one) for one in events)
-    found = Estimate("joint", Status.DEGENERATE_POSE, "why", T_D_S, t_d_std_s=t_d_std_s)
-    ways = other_ways(Config(), seen, found)
-    assert any(way == Config(half_window_s=0.04) for way in ways) is is_tried
+@pytest.mark.parametrize("status", POSE_IS_OPEN)
+def test_more_is_tried_where_the_offset_is_as_open_as_the_pose(events, status, t_d_std_s, is_tried):
+    found = Estimate("joint", status, "why", T_D_S, t_d_std_s=t_d_std_s)
+    assert tries_longer_windows(events, found) is is_tried
     clocks = other_clocks(Config(), Config().resolved(has_track=False), False, found)
     assert [name for name, _ in clocks] == ["fast"] * is_tried
+
+
+def test_longer_windows_may_tell_which_offset_it_is(events):
+    assert tries_longer_windows(events, Estimate("joint", Status.AMBIGUOUS_OFFSET, "why"))
+    assert not tries_longer_windows(events, Estimate("joint", Status.CLOCK_JUMP, "why"))
+
+
+def tries_longer_windows(events, found):
+    ways = other_ways(Config(), tuple(denoised(one) for one in events), found)
+    return Config(half_window_s=0.04) in ways
 
 
 @pytest.mark.parametrize(
