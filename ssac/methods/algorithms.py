@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ssac.arrays import Array
 from ssac.camera import known_pose
 from ssac.estimate import Estimate, Refusal, Status
+from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
@@ -87,6 +89,12 @@ def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
     if little is not None:
         return refused(estimate, little)
     t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)
+    if not np.isfinite(std_s):
+        reason = (
+            "the object flies along a straight line, and both cameras see it for so short a time"
+            " that any offset fits its speed: record longer, in all directions"
+        )
+        return refused(estimate, Refusal(Status.TOO_LITTLE_MOTION, reason))
     return replace(
         estimate,
         status=Status.DEGENERATE_POSE,
@@ -117,8 +125,11 @@ def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | 
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
-    """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs."""
-    std_s, n_pairs = np.nan, 0
+    """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs.
+
+    The deviation is such that 1.96 of it are Student's 95 %; infinite where all offsets fit alike.
+    """
+    std_s, n_pairs = np.inf, 0
     for _ in range(8):
         along = _along(lines, views, t_d_s)
         if along is None:
@@ -137,9 +148,11 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
         stretches = np.unique(np.floor(along.times_s / 0.5), return_inverse=True)[1]
         sums = np.zeros((stretches.max() + 1, 4))
         np.add.at(sums, stretches, gradients)
-        freedom = max(len(sums) - 4, 1)
+        freedom = len(sums) - 4
+        if freedom < 1:
+            return t_d_s, np.inf, n_pairs
         variance = (inverse @ sums.T @ sums @ inverse)[0, 0] * len(sums) / freedom
-        std_s = float(np.sqrt(variance))
+        std_s = float(np.sqrt(variance) * stdtrit(freedom, 0.975)) / NORMAL_95
         t_d_s += shift_s
         if abs(shift_s) < 1e-6:
             break

@@ -54,6 +54,12 @@ def straight_uniform(times_s):
     return MIDDLE + 0.4 * (times_s - DURATION_S / 2)[..., None] * AXES[0]
 
 
+def straight_brisk(times_s):
+    """Go to and fro along a line several times a second."""
+    along = np.sin(13.0 * times_s) + 0.5 * np.sin(21.0 * times_s + 1.0)
+    return MIDDLE + 0.5 * along[..., None] * AXES[0]
+
+
 def circle(times_s, rise_m_s=0.0):
     turn = 2.0 * np.pi * times_s[..., None] / 2.7
     height = rise_m_s * (times_s[..., None] - DURATION_S / 2)

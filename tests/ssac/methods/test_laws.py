@@ -181,6 +181,19 @@ def test_a_straight_line_tells_the_offset_but_no_pose(method):
     assert estimate.unobservable.shape[1] == 6
 
 
+@pytest.mark.parametrize("seen_s", [1.5, 5.0])
+def test_a_straight_line_seen_for_a_moment_tells_no_offset(seen_s):
+    scene = scene_of(flights.straight_brisk)
+    brief = [Observation(one.events[one.events["t"] < 1e6 * seen_s]) for one in seen(scene)]
+    estimate = Chain(brief, scene.rig, flights.CLEAN).estimate("ssac")
+    if seen_s < 2.5:  # no more half seconds than unknowns: the fit left nothing, and no deviation
+        assert estimate.status == "too_little_motion"
+        assert "for so short a time" in estimate.reason
+    else:
+        assert estimate.t_d_s == pytest.approx(T_D_S, abs=4 * estimate.t_d_std_s)
+        assert 1e-5 < estimate.t_d_std_s < 1e-2
+
+
 @pytest.mark.parametrize("method", KNOWN)
 @pytest.mark.parametrize("path", [flights.straight, flights.circle, flights.helix])
 def test_a_known_pose_leaves_the_offset_alone_to_be_told(method, path):
