@@ -138,8 +138,7 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
     backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
     is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
     is_thin = found.status in SETTLED_BY["few events"]
-    is_open = found.status == Status.AMBIGUOUS_OFFSET or is_vague(found, rules.retry)
-    if is_thin or is_open:
+    if is_thin or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
     hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
     if is_thin or (hides_part and found.status in SETTLED_BY["noise"]):
