@@ -127,7 +127,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "noise": "several_objects clock_jump no_match poor_fit ambiguous_offset degenerate_pose",
         "lost": "no_motion too_few_samples",
         "thin": "too_little_motion no_match ambiguous_offset",
-        "rig": "search_bound no_convergence no_match poor_fit",
+        "rig": "search_bound no_convergence no_match poor_fit degenerate_pose ambiguous_pose",
     }.items()
 }
 """Which refusals a later stage may overrule: a refinement those of the one before, a fast clock, or

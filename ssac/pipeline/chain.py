@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 from ssac.camera import Camera, Cameras, Rig, check_cameras, check_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
-from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
@@ -264,13 +264,15 @@ class Chain:
         _check_two(self.name(places[0]), self.name(places[1]), *cleans)
         tries_all = of_tracks and self._searches_all(*cleans)
         answer = self._of_one(pair, tries_all)
-        if not of_tracks or answer.estimate.has_offset:
+        if not of_tracks:
             return answer
+        if answer.estimate.has_offset:
+            return self._hinted(pair, answer, tries_all)
         widest = answer
         if not tries_all and retries.lies_elsewhere(self.config, answer.estimate):
             wider = self._of_one(pair, True)
             if wider.estimate.has_offset:
-                return wider
+                return self._hinted(pair, wider, True)
             widest = wider
             answer = wider if retries.is_truer(wider.estimate, answer.estimate) else answer
         rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
@@ -282,12 +284,20 @@ class Chain:
         if not tries_all and retries.narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"
             answer = answer.because(outside)
+        return self._hinted(pair, answer, tries_all)
+
+    def _hinted(self, pair: _Pair, answer: Answer, tries_all: bool) -> Answer:
+        """Say of a rig that seems wrong which usual mistake explains all."""
+        if answer.estimate.has_offset and not answer.misfit:
+            return answer
         mistake = retries.usual_mistake(pair.rig, answer.cleans, answer.estimate)
         if mistake is None:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        is_mended = not mended.misfit and mended.estimate.against <= config.rules.verdict.in_doubt
+        is_mended = (
+            not mended.misfit and mended.estimate.against <= pair.config.rules.verdict.in_doubt
+        )
         if mended.estimate.status != Status.OK or not is_mended:
             return answer
         return answer.because(f"all agrees if {hint}")
@@ -344,7 +354,9 @@ class Chain:
                 rig = retries.less_certain(other.rig, by_other, rules, bounded=bounded)
                 other = replace(pair, rig=rig)
                 by_other = self._run(other)
-                if by_other.has_offset and by_other.against <= rules.max_against_less_sure:
+                explains = by_other.has_offset and by_other.against <= rules.max_against_less_sure
+                # Of a rig that is wrong by any amount no pose is believed.
+                if explains and (bounded or not is_clear or by_other.status in POSE_IS_OPEN):
                     pair, found, misfit = other, by_other, found.misfit
                     break
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(

@@ -116,6 +116,15 @@ def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to a few
 
 
+def test_exchanged_intrinsics_are_named_beside_the_offset():
+    scene = replace(SCENE, cam2=longer(CAMERA, 0.6))
+    exchanged = [longer(CAMERA, 0.6), UNSTATED]
+    result = ssac.sync(*make_events(scene, 1, T_D_S, 20_000.0, 0.1), exchanged)
+    assert result.status == Status.DEGENERATE_POSE
+    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+    assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
+
+
 def test_intrinsics_in_doubt_widen_the_deviations(events):
     sure = ssac.sync(*events, [CAMERA, CAMERA])
     less = ssac.sync(*events, [longer(CAMERA, 0.02), UNSTATED])
