@@ -98,8 +98,13 @@ def correlated_covariance(
     freedom = independent - told
     if cautious:
         freedom = min(freedom, float(np.ptp(times_s)) / max(rules.fading_s))
-    factors *= float(stdtrit(max(freedom, 1.0), 0.975)) / NORMAL_95
+    factors *= student_factor(freedom)
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
+
+
+def student_factor(freedom: float) -> float:
+    """Widening of a deviation, so that 1.96 of it are Student's 95 %; at least one degree."""
+    return float(stdtrit(max(freedom, 1.0), 0.975)) / NORMAL_95
 
 
 def mean_curvature(curvatures: Array, rules: FitRules) -> float:

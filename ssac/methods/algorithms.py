@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import stdtrit
 
 from ssac.arrays import Array
 from ssac.camera import known_pose
 from ssac.estimate import Estimate, Refusal, Status
-from ssac.fit.covariance import NORMAL_95
+from ssac.fit.covariance import student_factor
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
@@ -152,7 +151,7 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
         if freedom < 1:
             return t_d_s, np.inf, n_pairs
         variance = (inverse @ sums.T @ sums @ inverse)[0, 0] * len(sums) / freedom
-        std_s = float(np.sqrt(variance) * stdtrit(freedom, 0.975)) / NORMAL_95
+        std_s = float(np.sqrt(variance)) * student_factor(freedom)
         t_d_s += shift_s
         if abs(shift_s) < 1e-6:
             break
