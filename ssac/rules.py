@@ -371,10 +371,12 @@ class VerdictRules:
     max_against: float = 4.0
     in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
     max_against_less_sure: float = 2.5  # of these
-    # How well a rig is known at most that is clearly wrong, focal lengths as a share and centres,
-    # as little tells of it: by 34 such of `ssac by-hand`, bases 100, 101 and 200.
-    least_focal: float = 0.03
-    least_centre_px: float = 10.0
+    # What a rig that is clearly wrong is tried as, by 75 such of `ssac by-hand`, bases 200 and 300,
+    # and 40 of `reasons`: as carelessly known, or that times as badly where more speaks against it.
+    careless_focal: float = 0.03  # deviation, as a share
+    careless_centre_px: float = 10.0
+    times_careless: tuple[float, float, float] = (1.0, 4.0, 10.0)
+    max_against_careless: float = 1.4  # 1.56 to 1.97 of some focal lengths half or double
 
 
 @dataclass(frozen=True)

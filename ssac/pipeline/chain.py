@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 from ssac.camera import Camera, Cameras, Rig, check_cameras, check_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
-from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
@@ -344,21 +344,12 @@ class Chain:
             if retries.is_settled_by(by_other, found, name, config.rules.retry):
                 pair, found, clock = other, by_other, name
                 break
-        rules = pair.config.rules.verdict
-        states = pair.rig.cam1.states_intrinsics or pair.rig.cam2.states_intrinsics
-        is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
-        if is_in_doubt and found.status in (Status.OK, Status.POOR_FIT):
-            # What hardly speaks against a rig may be of far other intrinsics at once.
-            other, by_other, is_clear = pair, found, found.against > rules.max_against
-            for bounded in (True, False)[not is_clear :]:
-                rig = retries.less_certain(other.rig, by_other, rules, bounded=bounded)
-                other = replace(pair, rig=rig)
-                by_other = self._run(other)
-                explains = by_other.has_offset and by_other.against <= rules.max_against_less_sure
-                # Of a rig that is wrong by any amount no pose is believed.
-                if explains and (bounded or not is_clear or by_other.status in POSE_IS_OPEN):
-                    pair, found, misfit = other, by_other, found.misfit
-                    break
+        for rig, most in retries.less_certain(pair.rig, found, pair.config.rules.verdict):
+            other = replace(pair, rig=rig)
+            by_other = self._run(other)
+            if by_other.has_offset and by_other.against <= most:
+                pair, found, misfit = other, by_other, found.misfit
+                break
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(
             self._views(pair.seen, pair.rig.unposed, pair.config)
         )

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssac.camera import Rig, same_camera
+from ssac.camera import Rig, same_camera, with_deviations
 from ssac.config import N_MIN, Config, Interval
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.rules import RetryRules, VerdictRules
@@ -165,18 +165,28 @@ def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
     return replace(found, status=Status.SEVERAL_OBJECTS, reason=reason)
 
 
-def less_certain(rig: Rig, found: Estimate, rules: VerdictRules, *, bounded: bool) -> Rig:
-    """Give a rig that is as uncertain as an estimate says; bounded, as far as that is ordinary."""
-    cameras = []
-    for camera in (rig.cam1, rig.cam2):
-        focals_px = np.diag(camera.K)[:2]
-        most_px = np.array([*rules.least_focal * focals_px, *2 * [rules.least_centre_px]])
-        stds_px = np.array(camera.intrinsics_std_px)
-        wider_px = max(found.shift, 1.0) * stds_px
-        if bounded:
-            wider_px = np.maximum(stds_px, np.minimum(wider_px, most_px))
-        cameras.append(replace(camera, intrinsics_std_px=tuple(wider_px.tolist())))
-    return Rig(cameras[0], cameras[1], rig.T_2_1)
+def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tuple[Rig, float]]:
+    """Give a rig that is in doubt as less certain, and how much may speak against that."""
+    states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
+    is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
+    if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
+        return
+    if found.against <= rules.max_against:  # of far other intrinsics at once, as little tells
+        yield _known_to(rig, times=max(found.shift, 1.0)), rules.max_against_less_sure
+        return
+    for times in rules.times_careless:
+        least = times * rules.careless_focal, times * rules.careless_centre_px
+        yield _known_to(rig, least), rules.max_against_careless
+
+
+def _known_to(rig: Rig, least: tuple[float, float] = (0.0, 0.0), times: float = 1.0) -> Rig:
+    one, other = (
+        replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
+        for camera in (rig.cam1, rig.cam2)
+        for least_px in [with_deviations(camera, *least).intrinsics_std_px]
+        for stds_px in [np.maximum(times * np.array(camera.intrinsics_std_px), least_px)]
+    )
+    return Rig(one, other, rig.T_2_1)
 
 
 def usual_mistake(
