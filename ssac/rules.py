@@ -352,6 +352,7 @@ class FitRules:
     least_curvature: float = 0.25  # of any direction, as a share of the mean
     least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
     least_common: float = 0.5  # factor by which common errors may lessen a variance
+    least_fading_times: float = 7.0  # of the longest, in which it is told that they do
     most_shift: float = 0.5  # of intrinsics, as a share of the focal length: no fit leads further
     told_combinations: int = 2  # of the intrinsics, that two views of one path tell
     max_last_change: float = 0.5  # in deviations, by the last iteration: new events move it

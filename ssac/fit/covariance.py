@@ -58,7 +58,7 @@ def correlated_covariance(
     series are of one kind. All are when None.
 
     A short time shows few of the slowest errors, and by chance none: where `cautious`, it has no
-    more degrees of freedom than fading times of these.
+    more degrees of freedom than fading times of these, and of few nothing is lessened.
     """
     n, p = jacobian.shape
     curvature = mean_curvature(curvatures, rules)
@@ -86,6 +86,8 @@ def correlated_covariance(
     meat = meat + curvature * Q_prior.T @ (scales_px[:, None] ** 2 * Q_prior)
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
     root = np.linalg.solve(triangle, bounded_inverse(bread, curvature, rules))
+    fading_times = float(np.ptp(times_s)) / max(rules.fading_s) if cautious else np.inf
+    lessens = lessens and fading_times >= rules.least_fading_times
     factors = np.ones(p)
     if several and not is_clock:
         for k in common:
@@ -95,10 +97,7 @@ def correlated_covariance(
             factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
     # Parameters, or parts of them, that are from the data and not from what was known beforehand.
     told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
-    freedom = independent - told
-    if cautious:
-        freedom = min(freedom, float(np.ptp(times_s)) / max(rules.fading_s))
-    factors *= student_factor(freedom)
+    factors *= student_factor(min(independent - told, fading_times))
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from ssac.fit.covariance import PRIOR, correlated_covariance
+from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
 from ssac.rules import FitRules
 
 RULES = FitRules()
@@ -196,6 +196,11 @@ def test_what_series_have_in_common_counts_for_the_clock_alone(are_opposite):
         assert one[0] < 0.8 * apart[0]
         kept = deviations_of(TWICE_S, jacobian, left, lessens=False)  # where that is not wanted
         assert kept[0] == apart[0]
+        for time in (0.1, 1.0):  # 1 s is too short to tell it, 10 s are not
+            seen = time * TWICE_S, jacobian, left
+            cautious, bold = (deviations_of(*seen, cautious=on)[0] for on in (True, False))
+            widened = student_factor(time * np.ptp(TWICE_S) / max(RULES.fading_s))
+            assert (cautious > 1.2 * widened * bold) == (time < 1.0)
         assert both[1] == one[1] == apart[1]
     else:
         assert both[1] > 1.2 * one[1]  # twice the variance, of two that are one
