@@ -30,6 +30,7 @@ from ssac.pipeline.plots import (
     Material,
     d_avg_px,
     draw_epipolar,
+    material_of,
     plane_angles,
     telling_stretch,
 )
@@ -234,10 +235,10 @@ class _Scene:
 def _estimated(chain: Chain, method: str) -> Material:
     """Give what figures of an estimate are drawn from."""
     answer = chain.answer(method)
-    estimate, (one, other) = answer.estimate, answer.cleans
+    estimate = answer.estimate
     if estimate.status != "ok":
         raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
-    return Material(estimate, (one.events, other.events), answer.views)
+    return material_of(answer)
 
 
 def d_avg_figure(chain: Chain) -> Figure:
