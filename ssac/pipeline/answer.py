@@ -125,6 +125,14 @@ class Answer:
         return "; ".join(self.notes)
 
     @property
+    def of_skew(self) -> str:
+        """Say that the skew is rather of its prior than of the recordings; empty if it is not."""
+        prior_ppm, std_ppm = self.config.prior_ppm, self.estimate.skew_std_ppm
+        if not 2.0 * std_ppm**2 > prior_ppm**2 > 0.0:
+            return ""
+        return f"rather taken to be within {prior_ppm:g} ppm than found: see --skew-prior"
+
+    @property
     def looks_at_one_object(self) -> bool:
         """Whether the method was given one object of those that the cameras saw."""
         return self.method.of_one_object and self.config.choose_object

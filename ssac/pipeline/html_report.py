@@ -191,7 +191,8 @@ def _cards(answer: Answer) -> list[tuple[str, str, str]]:
     if np.isfinite(estimate.skew_ppm) and estimate.skew_std_ppm != 0.0:
         runs = f"camera 2's clock runs {'fast' if estimate.skew_ppm >= 0.0 else 'slow'}"
         sure = _interval(estimate.skew_ppm, estimate.skew_std_ppm, "ppm", 1)
-        cards.append(("Clock skew", f"{estimate.skew_ppm:+.1f} ppm", f"{runs}; {sure}"))
+        told = "; ".join(one for one in (runs, sure, answer.of_skew) if one)
+        cards.append(("Clock skew", f"{estimate.skew_ppm:+.1f} ppm", told))
     if R is not None and t is not None:
         said = [
             f"1 sigma {std_deg:.3f}°" if np.isfinite(std_deg) else "of unknown accuracy"

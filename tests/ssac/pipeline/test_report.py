@@ -119,6 +119,12 @@ def test_a_clock_runs_fast_or_slow_beyond_one_deviation_only(answer):
         assert f"\n               {words}; t_d holds at 5.000 s of camera 1's\n" in text
 
 
+@pytest.mark.parametrize(("std_ppm", "is_assumed"), [(35.0, False), (36.0, True)])  # 50 / sqrt(2)
+def test_a_skew_that_is_of_its_prior_is_no_finding(answer, std_ppm, is_assumed):
+    text, _ = told(answer, t_ref_s=5.0, skew_ppm=8.0, skew_std_ppm=std_ppm)
+    assert ("rather taken to be within 50 ppm than found: see --skew-prior" in text) is is_assumed
+
+
 def test_a_length_that_was_stated_is_told_with_its_unit(answer):
     direction = answer.estimate.t
     assert "of unknown length" in report_text(answer)
