@@ -1,16 +1,18 @@
 """What nobody set is found out: far and fast clocks, few events, and what is wrong with a rig."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import ssac
-from ssac.camera import Camera
+from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
-from ssac.pipeline.retries import by_several, other_clocks, other_ways
+from ssac.pipeline.retries import by_several, less_certain, other_clocks, other_ways
 from ssac.points import PointTrack
+from ssac.rules import VerdictRules
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
@@ -97,7 +99,7 @@ def test_few_events_are_enough_where_there_is_no_noise():
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
 
 
-@pytest.mark.parametrize("share", [0.05, 0.1, -0.1, 0.3])
+@pytest.mark.parametrize("share", [0.05, 0.1, -0.1, 0.3, -0.5, 1.0])
 def test_no_wrong_focal_length_is_believed(events, share):
     estimate = ssac.sync(*events, [longer(CAMERA, share), UNSTATED]).estimate
     if estimate.status == Status.OK:  # as of a calibration that is less certain
@@ -131,6 +133,31 @@ def test_intrinsics_in_doubt_widen_the_deviations(events):
     assert less.status == Status.OK
     assert "what is seen contradicts the rig: " in less.note
     assert less.estimate.r_std_deg > 1.5 * sure.estimate.r_std_deg
+
+
+@pytest.mark.parametrize(
+    ("status", "against", "states", "n"),
+    [
+        (Status.OK, 1.9, False, 0),
+        (Status.OK, 2.1, False, 1),
+        (Status.OK, 3.9, True, 0),
+        (Status.POOR_FIT, 4.1, False, 3),
+        (Status.POOR_FIT, 4.1, True, 3),
+        (Status.NO_MATCH, 4.1, True, 0),
+    ],
+)
+def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, states, n):
+    known = with_deviations(CAMERA, 0.001, 25.0) if states else UNSTATED
+    rig = Rig(UNSTATED, known)
+    found = Estimate("joint", status, "why", against=against, shift=7.0)
+    rigs = [rig, *(one for one, _ in less_certain(rig, found, VerdictRules()))]
+    assert len(rigs) == 1 + n
+    for one, other in pairwise(rigs):
+        for narrow, wide in ((one.cam1, other.cam1), (one.cam2, other.cam2)):
+            assert np.all(np.less_equal(narrow.intrinsics_std_px, wide.intrinsics_std_px))
+        assert one.cam1.intrinsics_std_px != other.cam1.intrinsics_std_px
+    if n == 3:  # as carelessly known, at least
+        assert np.all(np.array(rigs[1].cam2.intrinsics_std_px) >= [6.0, 6.0, 10.0, 10.0])
 
 
 @pytest.mark.parametrize("seed", [0, 1])  # of which the first finds its offset at a bound
