@@ -176,7 +176,9 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
         return
     for times in rules.times_careless:
         least = times * rules.careless_focal, times * rules.careless_centre_px
-        yield _known_to(rig, least), rules.max_against_careless
+        is_last = times == rules.times_careless[-1]
+        most = rules.max_against_less_sure if is_last else rules.max_against_careless
+        yield _known_to(rig, least), most
 
 
 def _known_to(rig: Rig, least: tuple[float, float] = (0.0, 0.0), times: float = 1.0) -> Rig:
