@@ -377,7 +377,8 @@ class VerdictRules:
     careless_focal: float = 0.03  # deviation, as a share
     careless_centre_px: float = 10.0
     times_careless: tuple[float, float, float] = (1.0, 4.0, 10.0)
-    max_against_careless: float = 1.4  # 1.56 to 1.97 of some focal lengths half or double
+    # Of some focal lengths half or double it is 1.56 to 1.97; after the last there is no other.
+    max_against_careless: tuple[float, float, float] = (1.4, 1.4, 2.5)
 
 
 @dataclass(frozen=True)

@@ -126,11 +126,15 @@ class Answer:
 
     @property
     def of_skew(self) -> str:
-        """Say that the skew is rather of its prior than of the recordings; empty if it is not."""
-        prior_ppm, std_ppm = self.config.prior_ppm, self.estimate.skew_std_ppm
-        if not 2.0 * std_ppm**2 > prior_ppm**2 > 0.0:
+        """What the skew's prior says of it; empty where it is an ordinary finding."""
+        if self.guess is not None and self.guess.rate != 1.0:  # found before the prior held
             return ""
-        return f"rather taken to be within {prior_ppm:g} ppm than found: see --skew-prior"
+        prior_ppm, std_ppm = self.config.prior_ppm, self.estimate.skew_std_ppm
+        if abs(self.estimate.skew_ppm) > 3.0 * prior_ppm:
+            return f"far beyond the {prior_ppm:g} ppm expected of such clocks: see --skew-prior"
+        if 2.0 * std_ppm**2 > prior_ppm**2 > 0.0:
+            return f"rather taken to be within {prior_ppm:g} ppm than found: see --skew-prior"
+        return ""
 
     @property
     def looks_at_one_object(self) -> bool:

@@ -172,23 +172,20 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
     if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
         return
     if found.against <= rules.max_against:  # of far other intrinsics at once, as little tells
-        yield _known_to(rig, times=max(found.shift, 1.0)), rules.max_against_less_sure
+        yield _wider(rig, max(found.shift, 1.0), 0.0, 0.0), rules.max_against_less_sure
         return
-    for times in rules.times_careless:
-        least = times * rules.careless_focal, times * rules.careless_centre_px
-        is_last = times == rules.times_careless[-1]
-        most = rules.max_against_less_sure if is_last else rules.max_against_careless
-        yield _known_to(rig, least), most
+    for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
+        careless = times * rules.careless_focal, times * rules.careless_centre_px
+        yield _wider(rig, 1.0, *careless), most
 
 
-def _known_to(rig: Rig, least: tuple[float, float] = (0.0, 0.0), times: float = 1.0) -> Rig:
-    one, other = (
-        replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
-        for camera in (rig.cam1, rig.cam2)
-        for least_px in [with_deviations(camera, *least).intrinsics_std_px]
-        for stds_px in [np.maximum(times * np.array(camera.intrinsics_std_px), least_px)]
-    )
-    return Rig(one, other, rig.T_2_1)
+def _wider(rig: Rig, times: float, focal: float, centre_px: float) -> Rig:
+    cameras = []
+    for camera in (rig.cam1, rig.cam2):
+        least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
+        stds_px = np.maximum(times * np.array(camera.intrinsics_std_px), least_px)
+        cameras.append(replace(camera, intrinsics_std_px=tuple(stds_px.tolist())))
+    return Rig(cameras[0], cameras[1], rig.T_2_1)
 
 
 def usual_mistake(

@@ -36,6 +36,8 @@ from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_text
 from ssac.pipeline.scene import scene_of_two
 from ssac.pipeline.streams import streams
+from ssac.search.all_offsets import AllOffsets, Guess
+from ssac.search.start import Start
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.html_pages import EVIL, check_page
@@ -121,8 +123,15 @@ def test_a_clock_runs_fast_or_slow_beyond_one_deviation_only(answer):
 
 @pytest.mark.parametrize(("std_ppm", "is_assumed"), [(35.0, False), (36.0, True)])  # 50 / sqrt(2)
 def test_a_skew_that_is_of_its_prior_is_no_finding(answer, std_ppm, is_assumed):
-    text, _ = told(answer, t_ref_s=5.0, skew_ppm=8.0, skew_std_ppm=std_ppm)
+    clock = {"t_ref_s": 5.0, "skew_ppm": 8.0, "skew_std_ppm": std_ppm}
+    text, _ = told(answer, **clock)
     assert ("rather taken to be within 50 ppm than found: see --skew-prior" in text) is is_assumed
+    # The prior of a rate that was searched for is about that rate, of which it says nothing.
+    for rate in (1.0, 0.7):
+        guess = Guess(0.05, 5.0, rate, 1.0)
+        start = Start(AllOffsets(np.zeros(1), np.zeros(1), [guess], 0.02))
+        text, _ = told(replace(answer, start=start), **clock)
+        assert ("than found" in text) is (is_assumed and rate == 1.0)
 
 
 def test_a_length_that_was_stated_is_told_with_its_unit(answer):
