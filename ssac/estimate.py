@@ -201,7 +201,6 @@ class Estimate:
     to first order: what is wrong with both alike is hardly seen."""
     Ks: tuple[Array, Array] | None = None  # (3, 3) each: intrinsics that were fitted with the rest
     against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
-    shift: float = 0.0  # to those that fit best, in the rig's deviations
     misfit: str = ""  # which these are, where that is much, as a sentence
     without_body: str = ""  # why tangents are not joined with a rigid body, as a part of a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence

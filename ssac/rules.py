@@ -370,9 +370,8 @@ class VerdictRules:
     small_share: float = 0.06
     # From the rig's intrinsics to the best ones, in deviations: 3.7 at most of 33 pairs of phones.
     max_against: float = 4.0
-    in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
-    max_against_less_sure: float = 2.5  # of these
-    # What a rig that is clearly wrong is tried as, by 75 such of `ssac by-hand`, bases 200 and 300,
+    in_doubt: float = 2.0  # of those, where the rig states no deviations
+    # What a rig that is in doubt is tried as, by 75 such of `ssac by-hand`, bases 200 and 300,
     # and 40 of `reasons`: as carelessly known, or that times as badly where more speaks against it.
     careless_focal: float = 0.03  # deviation, as a share
     careless_centre_px: float = 10.0

@@ -147,15 +147,15 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
     return Ks[0], Ks[1]
 
 
-def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[float, float]:
-    """Give how much speaks against a rig's intrinsics, and how far off those are that fit best.
+def evidence(residuals: Residuals, hidden_px: Array | None = None) -> float:
+    """Give by how many deviations what is seen speaks against a rig's intrinsics.
 
-    Of each combination that the views tell, the value that fits best by itself is the second, in
-    deviations of the rig; the first is its ratio to its own deviation, the rig's and that of the
-    fit together. Both are 0 without what `Allowance` adds, and with a known pose, whose bias speaks
-    as loud. Hidden errors are as for `Residuals.hidden_covariance`.
+    Of each combination that the views tell, it is the ratio of the value that fits best by itself
+    to its deviation, the rig's and that of the fit together. It is 0 without what `Allowance` adds,
+    and with a known pose, whose bias speaks as loud. Hidden errors are as for
+    `Residuals.hidden_covariance`.
     """
-    problem, worst = residuals.problem, (0.0, 0.0)
+    problem, worst = residuals.problem, 0.0
     n = problem.n_of_cameras
     if n == 0 or problem.pose_is_known:
         return worst
@@ -174,7 +174,7 @@ def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[floa
         covariance = alone.covariance()
         if hidden_px is not None:
             covariance = covariance + alone.hidden_covariance(hidden_px)
-        worst = max(worst, (abs(shift) / float(np.sqrt(1.0 + covariance[-1, -1])), abs(shift)))
+        worst = max(worst, abs(shift) / float(np.sqrt(1.0 + covariance[-1, -1])))
     return worst
 
 

@@ -149,9 +149,9 @@ class Refinement(ABC):
         fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
         F = fundamental_of(problem, parameters)
         rules = self.rules.verdict
-        against, shift = evidence(residuals, hidden_px)
+        against = evidence(residuals, hidden_px)
         if against > rules.in_doubt and self._is_flat(residuals):
-            against, shift = 0.0, 0.0  # any intrinsics fit a path in a plane, each with its pose
+            against = 0.0  # any intrinsics fit a path in a plane, each with its pose
         misfit = wanted(residuals) if against > rules.in_doubt else ""
         return replace(
             fitted,
@@ -164,7 +164,6 @@ class Refinement(ABC):
             per_focal_deg=np.degrees(turned_by_focals(residuals)),
             Ks=intrinsics_of(problem, parameters),
             against=against,
-            shift=shift,
             misfit=misfit,
             doubt=doubt(residuals.distances_px, self.size_px, rules, against, misfit),
         )

@@ -348,7 +348,7 @@ class Chain:
             other = replace(pair, rig=rig)
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= most:
-                pair, found, misfit = other, by_other, found.misfit
+                pair, found, misfit = other, by_other, found.misfit or "as stated, nothing fits"
                 break
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(
             self._views(pair.seen, pair.rig.unposed, pair.config)

@@ -169,21 +169,19 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
     """Give a rig that is in doubt as less certain, and how much may speak against that."""
     states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
     is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
+    is_in_doubt |= found.status == Status.POOR_FIT and not states
     if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
-        return
-    if found.against <= rules.max_against:  # of far other intrinsics at once, as little tells
-        yield _wider(rig, max(found.shift, 1.0), 0.0, 0.0), rules.max_against_less_sure
         return
     for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
         careless = times * rules.careless_focal, times * rules.careless_centre_px
-        yield _wider(rig, 1.0, *careless), most
+        yield _known_to(rig, *careless), most
 
 
-def _wider(rig: Rig, times: float, focal: float, centre_px: float) -> Rig:
+def _known_to(rig: Rig, focal: float, centre_px: float) -> Rig:
     cameras = []
     for camera in (rig.cam1, rig.cam2):
         least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
-        stds_px = np.maximum(times * np.array(camera.intrinsics_std_px), least_px)
+        stds_px = np.maximum(camera.intrinsics_std_px, least_px)
         cameras.append(replace(camera, intrinsics_std_px=tuple(stds_px.tolist())))
     return Rig(cameras[0], cameras[1], rig.T_2_1)
 
