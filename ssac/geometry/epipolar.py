@@ -109,7 +109,7 @@ def sampson_gradient(F: Array, p1_px: Array, p2_px: Array) -> Array:
     return np.asarray(_by_entries(F.ravel(), *points))
 
 
-_terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cache=True)(
+compiled_terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cache=True)(
     epipolar_terms
 )
 
@@ -119,7 +119,7 @@ def _derivatives(f: Array, p1: Array, p2: Array, dp2: Array) -> Array:
     found = np.empty(len(p1))
     for i in range(len(p1)):
         u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
-        product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
+        product, a2, b2, a1, b1 = compiled_terms(f, u1, v1, u2, v2)
         d_product = a2 * du2 + b2 * dv2
         d_a1 = f[0] * du2 + f[3] * dv2
         d_b1 = f[1] * du2 + f[4] * dv2
@@ -134,7 +134,7 @@ def _by_entries(f: Array, p1: Array, p2: Array) -> Array:
     found = np.empty((len(p1), 3, 3))
     for i in range(len(p1)):
         u1, v1, u2, v2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1]
-        product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
+        product, a2, b2, a1, b1 = compiled_terms(f, u1, v1, u2, v2)
         norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
         ratio = product / norm**2
         x1, x2 = (u1, v1, 1.0), (u2, v2, 1.0)

@@ -13,12 +13,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, combinations_with_replacement
 
+import numba
 import numpy as np
 
 from ssac.arrays import Array
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
-from ssac.geometry.epipolar import sampson_distance
+from ssac.geometry.epipolar import compiled_terms, sampson_distance
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import Rules
 from ssac.search.all_offsets import Grid
@@ -128,16 +129,10 @@ class _Matching:
         a, b = np.array(list(combinations_with_replacement(longest, 2))).T
         _, vectors = np.linalg.eigh(moments[a] + moments[b])
         limits_px = np.array([self._near_px(i, j) for i, j, _, _ in together])
-        places = [i for i, *_ in together]
-        best, best_F = 0.0, np.zeros((3, 3), np.float64)
-        for F in vectors[:, :, 0].reshape(-1, 3, 3):
-            distances = np.abs(sampson_distance(F, x1.reshape(-1, 2), x2.reshape(-1, 2)))
-            is_near = np.median(distances.reshape(x1.shape[:2]), axis=1) < limits_px / SCALE_PX
-            of_piece = np.zeros(len(self.grids[0]))  # at a time it is one of the other view's
-            np.maximum.at(of_piece, places, is_near * lengths)
-            if np.sum(of_piece) > best:
-                best, best_F = float(np.sum(of_piece)), np.asarray(F)
-        return -best, lag, T2.T @ best_F @ T1
+        places = np.array([i for i, *_ in together])
+        Fs = np.ascontiguousarray(vectors[:, :, 0])
+        best, F = _most_borne_out(Fs, x1, x2, limits_px / SCALE_PX, lengths, places)
+        return -best, lag, T2.T @ F.reshape(3, 3) @ T1
 
     def _together(self, lag: int) -> Iterator[tuple[int, int, Array, Array]]:
         """Give the pieces seen at a time at an offset, by number, and where (n, 2) each then is."""
@@ -218,6 +213,27 @@ class _Matching:
             if distance_px < best.distance_px:
                 best = replace(match, lag=lag, F=F, distance_px=distance_px)
         return best
+
+
+@numba.njit(cache=True, error_model="numpy")  # no line at an epipole
+def _most_borne_out(
+    Fs: Array, x1: Array, x2: Array, limits: Array, lengths: Array, places: Array
+) -> tuple[float, Array]:
+    """Give how long pieces of camera 1, by place, bear out the best of Fs (m, 9), and that F."""
+    n_pairs, n_points = x1.shape[:2]
+    distances, best, best_F = np.empty(n_points), 0.0, np.zeros(9)
+    for F in Fs:
+        longest = np.zeros(np.max(places) + 1)  # at a time a piece is one of the other view's
+        for k in range(n_pairs):
+            for i in range(n_points):
+                u1, v1, u2, v2 = x1[k, i, 0], x1[k, i, 1], x2[k, i, 0], x2[k, i, 1]
+                product, a2, b2, a1, b1 = compiled_terms(F, u1, v1, u2, v2)
+                distances[i] = abs(product) / np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
+            if np.median(distances) < limits[k]:
+                longest[places[k]] = max(longest[places[k]], lengths[k])
+        if np.sum(longest) > best:
+            best, best_F = np.sum(longest), F
+    return best, best_F
 
 
 def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
