@@ -40,7 +40,7 @@ from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
-BASE, FIRST, N_RECORDINGS, N_COMMITTED = 300, 522, 600, 180
+BASE, FIRST, N_RECORDINGS, N_COMMITTED = 300, 702, 600, 180
 """No choice was made on these; on those before, and bases 1 to 5, 100, 101 and 200, some were."""
 
 UNASKED = "default"
