@@ -229,6 +229,8 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
     if not (x1.any() or x2.any()):
         return 1.0
     F = _reweighted(x1, x2, _NOT_YET)
+    if not np.isfinite(F).all():
+        return 1.0
     squares, squared_norms = sampson(F, x1, x2)
     scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
     weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
@@ -285,7 +287,10 @@ def _reweighted(x1: Array, x2: Array, F: Array, iterations: int = _POLISH_ITERAT
     for _ in range(iterations):
         squares, squared_norms = sampson(F, x1, x2)
         scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
-        F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))
+        weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
+        if not np.isfinite(weights).all():  # an object at rest, but for rounding
+            return np.full((3, 3), np.nan)
+        F = _eight_point(x1, x2, weights)
     return F
 
 

@@ -104,7 +104,7 @@ class Choice:
             estimate = self.refine(hypothesis, self.views)
             if estimate.status == Status.CLOCK_JUMP:
                 jumping = jumping or estimate
-            if estimate.status == Status.OK and self._in_front(estimate):
+            if estimate.status == Status.OK and is_in_front(estimate, self.views):
                 found += self._weighed(estimate)
             rivals = _rivals(found, rules.hypotheses.clearly)
             if len(_distinct_offsets(rivals, rules.hypotheses.same_s)) >= rules.hypotheses.enough:
@@ -203,14 +203,15 @@ class Choice:
         least = rules.search.min_in_front
         return [replace(start, R=R, t=t) for R, t in poses if share_in_front(R, t, x1, x2) >= least]
 
-    def _in_front(self, estimate: Estimate) -> bool:
-        """Whether an estimate puts the object in front of both cameras."""
-        if estimate.R is None or estimate.t is None:
-            return False
-        views = self.views.under(estimate.clock)
-        rays1, rays2 = views.pairs_at(estimate.t_d_s).rays(views.rig)
-        in_front = share_in_front(estimate.R, estimate.t, rays1, rays2)
-        return in_front >= views.rules.search.min_in_front
+
+def is_in_front(estimate: Estimate, views: TwoViews) -> bool:
+    """Whether an estimate puts the object in front of both cameras."""
+    if estimate.R is None or estimate.t is None:
+        return False
+    views = views.under(estimate.clock)
+    rays1, rays2 = views.pairs_at(estimate.t_d_s).rays(views.rig)
+    in_front = share_in_front(estimate.R, estimate.t, rays1, rays2)
+    return in_front >= views.rules.search.min_in_front
 
 
 def _offsets_of_valleys(start: Estimate, rules: Rules) -> list[float]:

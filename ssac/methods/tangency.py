@@ -21,7 +21,7 @@ from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
 from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation, sampson_derivative
 from ssac.geometry.pose import pencils, pose_step
-from ssac.methods.hypotheses import Choice
+from ssac.methods.hypotheses import Choice, is_in_front
 from ssac.methods.joint import refine
 from ssac.methods.method import method
 from ssac.methods.refinement import Refinement, Round, smooth_errors
@@ -208,7 +208,14 @@ def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
     """Find tangents and refine offset and pose by turns, of a start that is "ok", as `refine`."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    return _OfTangents(start, for_blind(views)).estimate(start.R, start.t)
+    found = _OfTangents(start, for_blind(views)).estimate(start.R, start.t)
+    if found.status != Status.OK or found.R is None or found.t is None or views.pose_is_known:
+        return found
+    if is_in_front(found, views):
+        return found
+    # -t fits as well: a start far off may lead to the one that puts all behind the cameras.
+    opposite = _OfTangents(start, for_blind(views)).estimate(found.R, -found.t)
+    return opposite if is_in_front(opposite, views) else found
 
 
 class _OfTangents(Refinement):

@@ -16,7 +16,7 @@ from itertools import combinations, combinations_with_replacement
 import numba
 import numpy as np
 
-from ssac.arrays import Array
+from ssac.arrays import Array, IntArray
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import compiled_terms, sampson_distance
@@ -217,13 +217,13 @@ class _Matching:
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole
 def _most_borne_out(
-    Fs: Array, x1: Array, x2: Array, limits: Array, lengths: Array, places: Array
+    Fs: Array, x1: Array, x2: Array, limits: Array, lengths: IntArray, places: IntArray
 ) -> tuple[float, Array]:
     """Give how long pieces of camera 1, by place, bear out the best of Fs (m, 9), and that F."""
     n_pairs, n_points = x1.shape[:2]
     distances, best, best_F = np.empty(n_points), 0.0, np.zeros(9)
     for F in Fs:
-        longest = np.zeros(np.max(places) + 1)  # at a time a piece is one of the other view's
+        longest = np.zeros(int(np.max(places)) + 1)  # at a time a piece is one of the other view's
         for k in range(n_pairs):
             for i in range(n_points):
                 u1, v1, u2, v2 = x1[k, i, 0], x1[k, i, 1], x2[k, i, 0], x2[k, i, 1]

@@ -120,6 +120,12 @@ def test_neither_the_start_nor_sparse_samples_matter():
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
 
 
+def test_a_start_that_puts_the_object_behind_the_cameras_leads_before_them():
+    behind = refine_tangents(replace(START, t=-START.t), VIEWS)
+    ahead = refine_tangents(START, VIEWS)
+    assert behind.t @ ahead.t > 0.99999  # both converge, to a tenth of a degree at least
+
+
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
     """Bug: what the last round had reached was "ok"."""
     once, known = (

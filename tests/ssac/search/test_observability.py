@@ -215,6 +215,13 @@ def test_pairs_without_noise_leave_the_fundamental_matrix_no_more_open(seed):
     assert open_fundamental(*track_pair(flat(make_scene(seed)), times_s), SEARCH) is not None
 
 
+def test_points_at_rest_whose_mean_is_rounded_allow_no_fundamental_matrix():
+    """Bug: weights became infinite, and the eigenvalues were refused."""
+    pair = np.tile([181.75, 111.0], (15, 1)), np.tile([161.7, 146.4], (15, 1))
+    assert np.isnan(reweighted_fundamental(*pair)).all()
+    assert second_best(*pair) == 1.0
+
+
 def test_points_at_rest_allow_no_fundamental_matrix():
     """Bug: the fit divided by zero."""
     points = np.full((40, 2), 100.0)
