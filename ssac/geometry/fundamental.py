@@ -200,8 +200,6 @@ def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
     Pairs and result as for `lmeds_fundamental`.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
-    if not (x1.any() or x2.any()):  # an object at rest
-        return np.full((3, 3), np.nan)
     return np.asarray(T2.T @ _reweighted(x1, x2, _NOT_YET) @ T1)
 
 
@@ -226,8 +224,6 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
     rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
-    if not (x1.any() or x2.any()):
-        return 1.0
     F = _reweighted(x1, x2, _NOT_YET)
     if not np.isfinite(F).all():
         return 1.0
@@ -281,14 +277,19 @@ def _normalised(p1_px: Array, p2_px: Array) -> tuple[Array, Array, Array, Array]
 
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Array, x2: Array, F: Array, iterations: int = _POLISH_ITERATIONS) -> Array:
-    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, from F if not zero."""
+    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, from F if not zero.
+
+    NaN of an object at rest, be it but for rounding.
+    """
+    if not (x1.any() or x2.any()):
+        return np.full((3, 3), np.nan)
     if not F.any():
         F = _eight_point(x1, x2, np.ones(x1.shape[1]))
     for _ in range(iterations):
         squares, squared_norms = sampson(F, x1, x2)
         scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
         weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
-        if not np.isfinite(weights).all():  # an object at rest, but for rounding
+        if not np.isfinite(weights).all():
             return np.full((3, 3), np.nan)
         F = _eight_point(x1, x2, weights)
     return F

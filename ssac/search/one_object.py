@@ -222,8 +222,9 @@ def _most_borne_out(
     """Give how long pieces of camera 1, by place, bear out the best of Fs (m, 9), and that F."""
     n_pairs, n_points = x1.shape[:2]
     distances, best, best_F = np.empty(n_points), 0.0, np.zeros(9)
+    longest = np.empty(int(np.max(places)) + 1)  # at a time a piece is one of the other view's
     for F in Fs:
-        longest = np.zeros(int(np.max(places)) + 1)  # at a time a piece is one of the other view's
+        longest[:] = 0.0
         for k in range(n_pairs):
             for i in range(n_points):
                 u1, v1, u2, v2 = x1[k, i, 0], x1[k, i, 1], x2[k, i, 0], x2[k, i, 1]
