@@ -201,6 +201,7 @@ class Estimate:
     to first order: what is wrong with both alike is hardly seen."""
     Ks: tuple[Array, Array] | None = None  # (3, 3) each: intrinsics that were fitted with the rest
     against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
+    against_skew: float = 0.0  # and against what is known of the skew beforehand
     misfit: str = ""  # which these are, where that is much, as a sentence
     without_body: str = ""  # why tangents are not joined with a rigid body, as a part of a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence

@@ -583,7 +583,9 @@ class GroundRules:
 class RetryRules:
     """What is tried where the usual gives nothing (`ssac.pipeline.retries`)."""
 
-    far_skew: float = 3.0  # prior deviations of a skew, beyond which the prior is wrong
+    # Deviations, the prior's and the fit's, of the skew that fits best by itself, beyond which the
+    # prior is wrong. On fast clocks of `ssac by-hand`, base 300, numbers below 882.
+    far_skew: float = 3.0
     fast_ppm: float = 1000.0  # prior deviation of one that runs at a rate of its own
     least_fast_ppm: float = 600.0  # of a skew, not a jump: of 5 ms in 20 s it looks like 470 ppm
     # Of clocks that count frames: one of 30 a second more or less in 5 s is 6700 ppm. On pairs of

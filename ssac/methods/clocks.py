@@ -173,6 +173,20 @@ class ClockModel:
             strays_std_s=np.sqrt(np.einsum("ik,ij,jk->k", by, covariance, by)),
         )
 
+    def against(self, residuals: Residuals, hidden_px: Array) -> float:
+        """Give by how many deviations what is seen speaks against the prior of the skew.
+
+        It is the skew that fits best by itself over its deviation, the prior's and that of the fit
+        together. A prior that is far too narrow keeps the skew found near zero all the same.
+        """
+        if len(self.deviations) != 1:
+            return 0.0
+        alone = _with_open_skew(residuals.problem, residuals.parameters, max_steps=5)
+        covariance = alone.covariance() + alone.hidden_covariance(hidden_px)
+        place = int(np.searchsorted(alone.problem.free, FIRST_COLUMN))
+        std = np.hypot(self.deviations[0], np.sqrt(covariance[place, place]))
+        return float(abs(alone.parameters.columns[0]) / std)
+
     def _functions(self, times_s: Array) -> list[Array]:
         """Give what a value of one of each parameter adds (n,) at times (n,) [s]."""
         if not len(self.deviations):
@@ -284,14 +298,19 @@ def _with_step(problem: Problem, later: Any) -> Problem:
 
 def _better_skew_ppm(problem: Problem, start: Parameters, stepped: Residuals) -> float | None:
     """Give the skew [ppm] that fits better, if nothing is known of it, than a step; else None."""
-    priors = tuple(prior for prior in problem.priors if prior.place != FIRST_COLUMN)
-    open_one = replace(problem, priors=priors)
-    skewed = linearise(open_one, solve(open_one, start).parameters)
+    skewed = _with_open_skew(problem, start)
     scale_px = max(robust_deviation(stepped.distances_px), 1e-12)
     by_skew, by_step = (
         np.sum(np.log1p((one.distances_px / scale_px) ** 2)) for one in (skewed, stepped)
     )
     return float(skewed.parameters.columns[0]) / PPM if by_skew < by_step else None
+
+
+def _with_open_skew(problem: Problem, start: Parameters, **how: Any) -> Residuals:
+    """Fit a problem as if nothing were known of the skew beforehand."""
+    priors = tuple(prior for prior in problem.priors if prior.place != FIRST_COLUMN)
+    open_one = replace(problem, priors=priors)
+    return linearise(open_one, solve(open_one, start, **how).parameters)
 
 
 def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRules) -> float:

@@ -164,6 +164,7 @@ class Refinement(ABC):
             per_focal_deg=np.degrees(turned_by_focals(residuals)),
             Ks=intrinsics_of(problem, parameters),
             against=against,
+            against_skew=self.model.against(residuals, hidden_px),
             misfit=misfit,
             doubt=doubt(residuals.distances_px, self.size_px, rules, against, misfit),
         )

@@ -241,6 +241,24 @@ def test_the_prior_says_how_far_a_skew_may_be():
     assert abs(held.skew_ppm) < 10.0  # held back, though not to 1 ppm: the data tell it well
 
 
+@pytest.mark.parametrize(
+    ("skew_ppm", "options", "is_far"),
+    [
+        (20.0, {}, False),
+        (300.0, {}, True),
+        (300.0, {"skew_prior_ppm": 1000.0}, False),
+        (300.0, {"skew_prior_ppm": 0.0}, False),  # nothing is known better
+        (300.0, {"clock": "pieces"}, False),  # which bend to it
+    ],
+)
+@pytest.mark.parametrize("known", [False, True])
+def test_what_is_seen_speaks_against_a_prior_of_the_skew_that_is_too_narrow(
+    skew_ppm, options, is_far, known
+):
+    views = views_of(Clock(T_D_S, skew_ppm, MIDDLE_S), known=known, **options)
+    assert (refine(START, views).against_skew > views.rules.retry.far_skew) is is_far
+
+
 def test_without_a_prior_both_clocks_run_alike():
     views = views_of(skew_prior_ppm=0.0)
     assert len(clock_model(views, START).deviations) == 0  # and so no column

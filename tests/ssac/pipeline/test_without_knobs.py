@@ -57,6 +57,7 @@ def with_centre(pu_px, pv_px):
         *((later_s, 0.0, 8.0) for later_s in (1.5, -4.0, 3600.0)),
         *((0.0, skew_ppm, 8.0) for skew_ppm in (1000.0, -3000.0)),
         (42.0, 3000.0, 16.0),
+        (0.0, -2400.0, 5.0),  # 6 ms at both ends, with which a skew of 40 ppm fits unnoticed
     ],
 )
 def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, skew_ppm, duration_s):
