@@ -166,7 +166,13 @@ class SilhouetteRules:
     """When events tell the object's silhouette, and where it is looked for."""
 
     min_size_px: float = 5.0  # median rms radius: of a drone of 17 px few pixels tell anything
-    min_closed_share: float = 0.8  # of pixels come to rest where they were; ideal sensors: 0.99
+    # Of pixels come to rest where they were: of ideal sensors 0.99. With less, levels are evened.
+    min_closed_share: float = 0.97
+    quiet_ramps: float = 6.0  # without an event, after which a pixel may have come to rest
+    min_back_share: float = 0.93  # of what leaves comes back; with half of the events missing 0.82
+    # Shares of a peak that are left of it then, and where the object comes again; and the time [us]
+    # at the end in which it may not have come back. On davis346 and 5 Hz of background, 7000 ff.
+    back: tuple[float, float, float] = (0.34, 0.67, 3e5)
     min_share: float = 0.5  # of a track's points have a silhouette
     box_sizes: float = 3.0  # reach of the box from the track, in sizes of the image, and beside
     box_px: float = 4.0

@@ -69,11 +69,12 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
 
 
 def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> ShapedTrack:
-    """Follow the centre of its area, where all events recorded tell it, or else their mean."""
+    """Follow the centre of its area, where the events tell it, or else their mean."""
     points, sharp = _followed(clean, config)
     rules, times_s, sizes_px = config.rules.track, sharp.times_s, sharp.sizes_px
     sigmas, given = _sigmas_px(sharp, rules.mean_sizes, config), (times_s, sharp.positions_px)
-    found = silhouettes(recorded, clean.camera, *given, sizes_px, config.rules.silhouette)
+    seen = recorded, clean.events, clean.camera
+    found = silhouettes(*seen, *given, sizes_px, config.rules.silhouette)
     if found is None:
         return ShapedTrack(PointTrack(times_s, points, sigmas), None)
     points = np.where(found.known[:, None], found.centres_px, points)

@@ -5,6 +5,9 @@ Counted up, a pixel's events say how many thresholds it is off what it shows whe
 it: its level. At the instant of an event it is a whole number, interpolated in between. Boxes
 (n, 4) [least x, largest x, least y, largest y], ends included, hold all of the object at n times; a
 pixel that is out of the box is at rest.
+
+Thresholds that differ, pixels that are blind after an event, and noise count wrong. There it is
+taken for granted that what leaves its level comes back to it: steps back are as large as it takes.
 """
 
 from dataclasses import dataclass
@@ -18,9 +21,14 @@ from ssac.arrays import Array, Events, Indices, IntArray, Mask, Pixels
 from ssac.camera import Camera, distort_points
 from ssac.rules import SilhouetteRules
 
-Levels = NDArray[np.int32]
+Levels = NDArray[np.float32]
 
-Linked = tuple[Levels, Levels, Levels]
+Links = NDArray[np.int32]
+
+Linked = tuple[Levels, Links, Links]
+"""Levels just after the events, and the events of the pixel, while it was in the box, before and
+after each, `NONE` without."""
+
 Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, IntArray]]
 """Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
 
@@ -55,7 +63,8 @@ class Silhouettes:
 
 
 def silhouettes(
-    events: Events,
+    recorded: Events,
+    denoised: Events,
     camera: Camera,
     times_s: Array,
     points_px: Array,
@@ -64,8 +73,9 @@ def silhouettes(
 ) -> Silhouettes | None:
     """Find the object's silhouettes; None where it is too small, or the events do not tell.
 
-    Events are all that the camera recorded: denoised ones count wrong. The track (n,) is of their
-    mean, undistorted; sizes are root mean square radii of the image.
+    All events that the camera recorded are counted, and where these do not come out even the
+    denoised ones, of which some are missing. The track (n,) is of their mean, undistorted; sizes
+    are root mean square radii of the image.
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
@@ -73,23 +83,32 @@ def silhouettes(
     times_us = np.rint(1e6 * times_s).astype(np.int64)
     where_px, sizes_px = np.round(distort_points(camera, points_px), 4), np.round(sizes_px, 4)
     samples_us, boxes, own = _boxes(times_us, where_px, sizes_px, camera, rules)
-    first = int(np.searchsorted(events["t"], samples_us[0]))
-    t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-    seen: Seen = (t_us, x, y), (camera.height, camera.width), (samples_us, boxes)
-    levels, before, after, rests, closed = _linked_levels(seen, polarities)
-    if first == len(events) or closed < rules.min_closed_share * rests:
-        return None
     since_s = 1e-6 * (times_us - times_us[0])
     moving = np.gradient(where_px, since_s, axis=0)
     speeds = np.maximum(np.linalg.norm(moving, axis=1), rules.least_speed_px_s)
     ramps_us = np.interp(1e-6 * (samples_us - times_us[0]), since_s, 1e6 * rules.ramp_px / speeds)
-    full = float(np.percentile(np.abs(levels[first:]), rules.full_percentile))
+    seen, polarities = _seen(recorded, camera, samples_us, boxes)
+    linked, rests, closed = _linked_levels(seen, polarities)
+    is_even = closed >= rules.min_closed_share * rests
+    if not is_even:  # noise, or thresholds that differ
+        seen, polarities = _seen(denoised, camera, samples_us, boxes)
+        linked, _, _ = _linked_levels(seen, polarities)
+        quiet_us = rules.quiet_ramps * float(np.median(ramps_us))
+        levels, left, came_back = _evened(seen[0][0], polarities, linked[1:], quiet_us, rules.back)
+        if came_back < rules.min_back_share * left:
+            return None
+        linked = levels, *linked[1:]
+    counted = np.abs(linked[0][np.searchsorted(seen[0][0], samples_us[0]) :])
+    counted = counted if is_even else counted[counted > 0.0]
+    if len(counted) == 0:
+        return None
+    full = float(np.percentile(counted.astype(np.float64), rules.full_percentile))
     half = int(np.ceil(rules.window_sizes * np.percentile(sizes_px, rules.large_percentile)))
     corners = np.rint(where_px).astype(np.int64) - half
     placed = np.zeros((len(samples_us), 2), np.int64)
     placed[own] = corners
     shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
-    linked, share_of = (levels, before, after), (full, rules.curvature)
+    share_of = full, rules.curvature
     sums = _image_sums(seen, linked, ramps_us, share_of, placed, shares)[own]
     off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
     good = (sums[:, 0] > 0.0) & (sums[:, 6] == 0.0) & (sums[:, 7] == 0.0)
@@ -98,6 +117,14 @@ def silhouettes(
         return None
     found = np.where(good[:, None], sums[:, 1:6], np.nan)
     return Silhouettes(found[:, :2], found[:, 2:], Images(shares[own], corners))
+
+
+def _seen(
+    events: Events, camera: Camera, samples_us: IntArray, boxes: IntArray
+) -> tuple[Seen, NDArray[np.uint8]]:
+    """Give what is seen of some events, and their polarities."""
+    t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
+    return ((t_us, x, y), (camera.height, camera.width), (samples_us, boxes)), polarities
 
 
 def _boxes(
@@ -122,19 +149,16 @@ def _boxes(
 
 
 @numba.njit(cache=True)
-def _linked_levels(
-    seen: Seen, polarities: NDArray[np.uint8]
-) -> tuple[Levels, Levels, Levels, int, int]:
+def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, int, int]:
     """Give each event's level, positive where darker, and the events before and after it.
 
     The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short of
-    being back. Gives (m,) levels just after the events; the events of the pixel, while it was in
-    the box, before and after each, `NONE` without; how often a pixel came to rest, and how often it
-    did so within a threshold of where it had been.
+    being back. Gives beside how often a pixel came to rest, and how often it did so within a
+    threshold of where it had been.
     """
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
-    levels = np.zeros(m, np.int32)
+    levels = np.zeros(m, np.float32)
     before, after = np.full(m, NONE, np.int32), np.full(m, NONE, np.int32)
     level = np.zeros(shape, np.int32)
     step = np.zeros(shape, np.int8)  # of the pixel's last event
@@ -174,7 +198,87 @@ def _linked_levels(
         elif run[row, col] > 1 or abs(level[row, col]) > 1:
             level[row, col] = -sign
         levels[e] = level[row, col]
-    return levels, before, after, rests, closed
+    return (levels, before, after), rests, closed
+
+
+@numba.njit(cache=True)
+def _evened(
+    times_us: IntArray,
+    polarities: NDArray[np.uint8],
+    links: tuple[Links, Links],
+    quiet_us: float,
+    back: tuple[float, float, float],
+) -> tuple[Levels, int, int]:
+    """Give the events' levels (m,), each pixel's of which come back to where they left from.
+
+    A lone step is noise, and so is what never comes back but at the end of the recording, within
+    `back[2]` [us]. Gives beside how often more than that was left, and how often it came back by
+    itself: as `_excursion` tells.
+    """
+    before, after = links
+    left, came_back = 0, 0
+    levels = np.zeros(len(times_us), np.float32)
+    for e in range(len(times_us)):
+        first = e if before[e] == NONE else NONE
+        while first != NONE:
+            last, peak, is_back = _excursion(first, times_us, polarities, after, quiet_us, back)
+            steps_away, steps_back = 0, 0
+            i = first
+            while i != after[last]:
+                is_away = (polarities[i] == 0) == (peak > 0)
+                steps_away += is_away
+                steps_back += not is_away
+                i = after[i]
+            is_open = not is_back and times_us[last] >= times_us[-1] - back[2]
+            left += abs(peak) > 1 and not is_open
+            came_back += abs(peak) > 1 and is_back
+            if abs(peak) > 1 and (is_open or steps_back > 0):
+                by = 1.0 if is_open else steps_away / steps_back
+                level = 0.0
+                i = first
+                while i != after[last]:
+                    level += 1.0 if (polarities[i] == 0) == (peak > 0) else -by
+                    levels[i] = max(level, 0.0) if peak > 0 else -max(level, 0.0)
+                    i = after[i]
+                if not is_open:
+                    levels[last] = 0.0
+            first = after[last]
+    return levels, left, came_back
+
+
+@numba.njit(cache=True)
+def _excursion(
+    first: int,
+    times_us: IntArray,
+    polarities: NDArray[np.uint8],
+    after: Links,
+    quiet_us: float,
+    back: tuple[float, float, float],
+) -> tuple[int, int, bool]:
+    """Follow a pixel's level from an event on until it is back: the last event, and the peak.
+
+    It is back where nothing follows for long and little is left, `back[0]` of the peak; or
+    `back[1]`, if it was on its way and what follows leads away again.
+    """
+    level, peak = 0, 0
+    e = first
+    while True:
+        level += -1 if polarities[e] else 1
+        if abs(level) > abs(peak):
+            peak = level
+        following = after[e]
+        is_last = following == NONE
+        is_quiet = is_last or times_us[following] - times_us[e] > quiet_us
+        is_away = (polarities[e] == 0) == (peak > 0)
+        turns = not is_away and (is_last or (polarities[following] == 0) == (peak > 0))
+        is_little = abs(level) <= max(1.0, back[0] * abs(peak))
+        if is_little and (is_quiet or (turns and level * peak <= 0)):
+            return e, peak, True
+        if turns and is_quiet and abs(level) <= back[1] * abs(peak):
+            return e, peak, True
+        if is_last:
+            return e, peak, False
+        e = following
 
 
 @numba.njit(cache=True)
@@ -207,7 +311,7 @@ def _image_sums(
     coming = np.full(shape, NONE, np.int32)
     never_us = np.iinfo(np.int64).max // 2
     coming_us = np.full(shape, never_us, np.int64)  # its time
-    coming_level = np.zeros(shape, np.int32)
+    coming_level = np.zeros(shape, np.float32)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
@@ -277,8 +381,8 @@ def _level_at(
     b: int,
     times_us: IntArray,
     levels: Levels,
-    before: Levels,
-    after: Levels,
+    before: Links,
+    after: Links,
     ramp_us: float,
 ) -> float:
     """Give a pixel's level, without sign, between its event a and its next, b; either may be none.
