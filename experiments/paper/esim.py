@@ -51,8 +51,8 @@ T_ERROR = Quantity("t", "deg", "t", "t", 0.05)
 ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
 """All of them, by their columns."""
 
-NOISY_T_D_MARK_MS = 0.1
-"""The mark of t_d on the tables' flights with the noise of a DAVIS346."""
+NOISY_MARKS = {T_D_ERROR: 0.1, R_ERROR: 0.12, T_ERROR: 0.06}
+"""The marks on the tables' flights with the noise of a DAVIS346."""
 
 POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
 

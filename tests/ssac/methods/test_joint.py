@@ -259,6 +259,17 @@ def test_what_is_seen_speaks_against_a_prior_of_the_skew_that_is_too_narrow(
     assert (refine(START, views).against_skew > views.rules.retry.far_skew) is is_far
 
 
+def test_what_speaks_against_a_prior_of_the_skew_is_not_held_by_it():
+    held, free = (
+        refine(START, views_of(Clock(T_D_S, 40.0, MIDDLE_S), skew_prior_ppm=prior_ppm))
+        for prior_ppm in (1.0, 1000.0)
+    )
+    assert abs(held.skew_ppm) < 10.0
+    # The deviation of either fit is known to a fifth.
+    of_both_ppm = np.hypot(1.0, free.skew_std_ppm)
+    assert held.against_skew == pytest.approx(free.skew_ppm / of_both_ppm, rel=0.2)
+
+
 def test_without_a_prior_both_clocks_run_alike():
     views = views_of(skew_prior_ppm=0.0)
     assert len(clock_model(views, START).deviations) == 0  # and so no column
