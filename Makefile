@@ -35,7 +35,7 @@ ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> re
 	@.venv/bin/ssac ablate
 
 studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
-	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency
+	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency oracle
 	@.venv/bin/ssac by-hand --recordings 180
 
 figures: ## the paper's figures, and those of all studies anew -> results/*.png

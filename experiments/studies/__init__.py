@@ -14,6 +14,7 @@ FILES = (
     "imperfect",
     "requirements",
     "tangency",
+    "oracle",
     "fidelity",
     "ablations",
     "spread",

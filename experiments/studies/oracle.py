@@ -1,0 +1,225 @@
+"""What limits `tangency`: parts of what it finds are put right in turn, and the error that is left.
+
+The flights are those of the study `tangency`. Truth takes the place of the outline's tangents that
+the events tell, of how fast these move, of the body's point, and of the pose; and both clocks are
+said to run alike, as they do.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import cycle
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+
+from experiments.drawing.style import Figure, panels
+from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure, RunRow
+from experiments.lab.recorded import Pair, recorded_pair
+from experiments.lab.results import Results
+from experiments.lab.score import Truth, kept, scored
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, by_group, made_of, shown_table
+from experiments.paper.esim import ANGLES_DEG, ERRORS, R_ERROR, T_D_ERROR, drawn
+from experiments.studies.tangency import DURATION_S, FIRST_FLIGHT, N_FLIGHTS, T_D_S
+from sim.recording import Scene, SimConfig
+from sim.sensor.frames import FrameConfig
+from ssac.arrays import Array
+from ssac.camera import Camera, known_pose
+from ssac.config import Config
+from ssac.geometry.pose import Pencil
+from ssac.methods import tangency
+from ssac.pipeline.chain import Chain
+from ssac.points import PointTrack
+from ssac.rules import PointRules
+from ssac.track.motion import PointMotion, point_motion
+from ssac.track.outline import Tangents, tangents
+
+AS_IT_IS = "as it is"
+TANGENTS, VELOCITIES, BODY = "true tangents", "true velocities", "true point of the body"
+BOTH, POSE, CLOCKS = "true tangents and point", "true pose", "clocks alike"
+CAUSES = (AS_IT_IS, TANGENTS, VELOCITIES, BODY, BOTH, POSE, CLOCKS)
+
+_STEP_S = 0.01  # of the images of the body's point
+_SHARE = "share_of_t_d"
+
+
+@dataclass(frozen=True)
+class CauseCell(FlightCell):
+    """A flight, and what is put right of what is found in it."""
+
+    cause: str
+
+
+@dataclass(frozen=True)
+class CauseRow(RunRow):
+    """The errors that are left."""
+
+    t_d_error_ms: float = np.nan
+    r_error_deg: float = np.nan
+    t_error_deg: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Filmed:
+    """What was filmed, as one of its cameras has it."""
+
+    scene: Scene
+    camera: int  # from 0 on
+    as_stated: Camera
+    later_s: float  # what its clock shows more than the scene's
+
+    def images(self, times_s: Array, points_B_m: Array) -> Array:
+        """Project points (m, 3) of the drone at rest at times (n,) of the own clock: (n, m, 2)."""
+        flight = self.scene.trajectory
+        poses = flight.poses(np.clip(times_s - self.later_s, 0.0, flight.duration_s))
+        points_W_m = points_B_m @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+        images_px = self.scene.rig.cameras[self.camera].project(points_W_m)
+        return np.asarray(images_px, np.float64)
+
+    def tangents(self, pencil: Pencil, times_s: Array) -> list[tuple[Array, Array]]:
+        """Give where the upper and the lower tangent touch, and how fast each moves: (n, 2)."""
+        vertices = np.concatenate([part.vertices_B_m for part in self.scene.drone.parts])
+        images = self.images(times_s, vertices)
+        angles = pencil.angles(images.reshape(-1, 2)).reshape(images.shape[:2])
+        # Without jumps, from vertex to vertex and from time to time.
+        angles = np.asarray(np.unwrap(angles, axis=1), np.float64)
+        angles += (np.unwrap(angles[:, 0]) - angles[:, 0])[:, None]
+        found, every = [], np.arange(len(times_s))
+        for furthest in (np.argmax(angles, axis=1), np.argmin(angles, axis=1)):
+            points = images[every, furthest]
+            gradients = pencil.gradients(points)
+            slopes = np.gradient(angles[every, furthest], times_s) / np.sum(gradients**2, axis=1)
+            found.append((points, slopes[:, None] * gradients))
+        return found
+
+    def point(self) -> PointMotion:
+        """Follow the image of the drone's origin."""
+        lasting_s = self.scene.trajectory.duration_s
+        times_s = self.later_s + np.arange(0.0, lasting_s, _STEP_S, dtype=np.float64)
+        points_px = self.images(times_s, np.zeros((1, 3)))[:, 0]
+        camera = self.scene.rig.cameras[self.camera]
+        seen = np.all((points_px > 0.0) & (points_px < [camera.width, camera.height]), axis=1)
+        track = PointTrack(times_s[seen], points_px[seen], np.ones(int(seen.sum())))
+        return point_motion(track, self.as_stated, PointRules())
+
+
+class Flown(NamedTuple):
+    """Two cameras' recordings, and what they filmed."""
+
+    pair: Pair
+    filmed: tuple[Filmed, Filmed]
+
+    def instead(self, cause: str) -> dict[str, Callable[..., Any]]:
+        """Give what stands in the place of functions of `ssac.methods.tangency`, by their names."""
+        turns = cycle(self.filmed)  # camera 1 is asked about first, then camera 2
+
+        def right(*found_of: Any) -> list[Tangents]:
+            _, _, pencil, times_s, _ = found_of
+            of_truth = next(turns).tangents(pencil, times_s)
+            return [
+                replace(
+                    one,
+                    points_px=one.points_px if cause == VELOCITIES else points_px,
+                    velocities_px_s=velocities_px_s,
+                )
+                for one, (points_px, velocities_px_s) in zip(
+                    tangents(*found_of), of_truth, strict=True
+                )
+            ]
+
+        def points(*_: Any) -> tuple[PointMotion, PointMotion]:
+            return self.filmed[0].point(), self.filmed[1].point()
+
+        found: dict[str, Callable[..., Any]] = {}
+        if cause in (TANGENTS, VELOCITIES, BOTH):
+            found["tangents"] = right
+        if cause in (BODY, BOTH):
+            found["body_points"] = points
+        return found
+
+
+def cause_cells() -> list[CauseCell]:
+    """List all that is put right, on each flight."""
+    spline = replace(SimConfig().spline, duration_s=DURATION_S)
+    base = SimConfig(t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0))
+    return [
+        CauseCell(sim, flight, seed, cause)
+        for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG)
+        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_FLIGHTS))
+        for cause in CAUSES
+    ]
+
+
+def load_flown(cells: Sequence[CauseCell], cache: Cache) -> Flown:
+    """Load a recording, and build anew what was filmed."""
+    sim, seed = cells[0].sim, cells[0].seed
+    pair, scene = recorded_pair(cache, sim, seed), sim.scene(seed)
+    one, other = Filmed(scene, 0, pair.rig.cam1, 0.0), Filmed(scene, 1, pair.rig.cam2, sim.t_d_s)
+    return Flown(pair, (one, other))
+
+
+def cause_row(cell: CauseCell, flown: Flown) -> CauseRow:
+    """Run `tangency` with some truth, and score what it gives."""
+    (cam1, cam2, rig), cause = flown.pair, cell.cause
+    config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
+    with ExitStack() as stack:
+        for name, of_truth in flown.instead(cause).items():
+            stack.enter_context(patch.object(tangency, name, of_truth))
+        method = "tangency-known" if cause == POSE else "tangency"
+        estimate = Chain((cam1, cam2), rig, config).estimate(method)
+    return CauseRow(**kept(CauseRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))))
+
+
+def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Sum up the errors that are left, and by which share of t_d's each truth lessens it."""
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        good = answered(group)
+        return {"runs": len(group), "failed": len(group) - len(good), **good[list(ERRORS)].mean()}
+
+    table = by_group(runs, ("cause",), row)
+    whole_ms = float(table.loc[table["cause"] == AS_IT_IS, T_D_ERROR.column].iloc[0])
+    return table.assign(**{_SHARE: 1.0 - table[T_D_ERROR.column] / whole_ms})
+
+
+def cause_figure(table: pd.DataFrame) -> Figure:
+    """Draw the mean errors that are left, those of the method as it is as a line."""
+    figure, (axes,) = panels("What is left of the error of tangency", 3.4, columns=2, sharey=True)
+    lines = np.arange(len(table))
+    for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
+        ax.grid(visible=False)
+        ax.barh(lines, table[error.column], color="0.65", height=0.7)
+        own = float(table.loc[table["cause"] == AS_IT_IS, error.column].iloc[0])
+        ax.axvline(own, color="0.3", lw=0.8, ls=":")
+        ax.set_xlabel(error.label, fontsize=9)
+    axes[0].set_yticks(lines, table["cause"], fontsize=8)
+    axes[0].invert_yaxis()
+    return figure
+
+
+def left_table(results: Results) -> str:
+    """Lay out what is left of the errors."""
+    columns = {"put right": "{cause}"} | {
+        f"{error.symbol} [{error.unit}]": f"{{{error.column}:.3f}}" for error in ERRORS.values()
+    }
+    return shown_table(results.rows("oracle"), columns)
+
+
+STUDIES = (
+    Study(
+        "oracle",
+        "What limits the method tangency: the error with parts of the truth",
+        cause_cells,
+        Measure(load_flown, cause_row, CauseRow),
+        Runs("oracle_runs.csv", ("angle_deg", "flight", "cause")),
+        (made_of("oracle.csv", cause_table, "oracle_runs"),
+         made_of("oracle.png", cause_figure, "oracle")),
+        config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
+                "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
+        numbers={"table.oracle": left_table},
+    ),
+)  # fmt: skip

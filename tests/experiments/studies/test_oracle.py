@@ -1,0 +1,77 @@
+"""Truth in the place of what `tangency` finds: it is right, and takes the error away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.lab.cache import Cache
+from experiments.studies.oracle import (
+    AS_IT_IS,
+    BODY,
+    BOTH,
+    CLOCKS,
+    POSE,
+    TANGENTS,
+    VELOCITIES,
+    CauseCell,
+    Flown,
+    cause_row,
+    load_flown,
+)
+from sim.recording import SimConfig
+from sim.sensor.frames import FrameConfig
+from ssac.camera import known_pose
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.pose import pencils
+from ssac.methods import tangency
+from ssac.track.outline import tangents
+
+pytestmark = pytest.mark.render
+
+T_D_S = 0.05
+SIM = SimConfig(
+    t_d_s=T_D_S,
+    spline=replace(SimConfig().spline, duration_s=5.0),
+    frames=FrameConfig(rate_hz=0.0),
+)
+CELL = CauseCell(SIM, 0, 1, AS_IT_IS)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    return load_flown([CELL], Cache(tmp_path_factory.mktemp("cache")))
+
+
+def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: Flown) -> None:
+    R, t = known_pose(flown.pair.rig)
+    Ks = flown.pair.rig.cam1.K, flown.pair.rig.cam2.K
+    times_s = np.arange(0.5, 4.5, 0.005)
+    both = [
+        filmed.tangents(pencil, times_s + later_s)
+        for filmed, pencil, later_s in zip(
+            flown.filmed, pencils(R, t, *Ks), (0.0, T_D_S), strict=True
+        )
+    ]
+    F = fundamental_from_pose(*Ks, R, t)
+    for (one_px, _), (other_px, px_s) in zip(*both, strict=True):
+        np.testing.assert_allclose(sampson_distance(F, one_px, other_px), 0.0, atol=1e-9)
+        # Across itself, a tangent moves as a point does that it touches for long.
+        stays = np.linalg.norm(np.diff(other_px, axis=0), axis=1) < 2.0
+        moved = np.sum(np.diff(other_px, axis=0) * px_s[:-1], axis=1) / 0.005
+        assert np.median(np.abs(moved / np.sum(px_s[:-1] ** 2, axis=1) - 1.0)[stays]) < 0.05
+
+
+@pytest.mark.parametrize(("cause", "share"), [(TANGENTS, 1e-3), (BOTH, 1e-3), (BODY, 0.5)])
+def test_truth_takes_the_error_away(cause: str, share: float, flown: Flown) -> None:
+    as_it_is, right = (cause_row(replace(CELL, cause=one), flown) for one in (AS_IT_IS, cause))
+    assert as_it_is.status == right.status == "ok"
+    assert right.t_d_error_ms < share * as_it_is.t_d_error_ms
+    assert tangency.tangents is tangents  # nothing stays in its place
+
+
+def test_other_truth_is_used(flown: Flown) -> None:
+    found = {one: cause_row(replace(CELL, cause=one), flown) for one in (POSE, VELOCITIES, CLOCKS)}
+    assert found[POSE].r_error_deg == found[POSE].t_error_deg == 0.0
+    errors_ms = [cause_row(CELL, flown).t_d_error_ms, *(one.t_d_error_ms for one in found.values())]
+    assert len(set(errors_ms)) == len(errors_ms)
