@@ -4,8 +4,8 @@ A user should not need a setting that the default could have found out. Of each 
 drawn from its number, the default is judged; where it is not right, eight settings are tried that
 a user would try.
 
-    ssac by-hand --recordings 180                        # what is committed; kinds take turns
-    ssac by-hand --base 1 --first 0 --recordings 72 --out out    # numbers 0 to 71 of another base
+    ssac by-hand --first 882 --recordings 180            # what is committed; kinds take turns
+    ssac by-hand --base 1 --recordings 72 --out out    # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 """
 
@@ -111,7 +111,7 @@ class HandRow(ImperfectRow):
 
 def hand_cells(
     base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = BASE,
-    first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = FIRST,
+    first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = 0,
     recordings: Annotated[
         int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")
     ] = N_RECORDINGS,
@@ -314,7 +314,7 @@ STUDIES = (
             made_of("by_hand.png", hand_figure, "by_hand"),
         ),
         command="ssac by-hand",
-        committed={"recordings": N_COMMITTED},
+        committed={"first": FIRST, "recordings": N_COMMITTED},
         shows="by_hand",
         again=False,
         numbers={
