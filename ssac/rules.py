@@ -170,9 +170,10 @@ class SilhouetteRules:
     min_closed_share: float = 0.97
     quiet_ramps: float = 6.0  # without an event, after which a pixel may have come to rest
     min_back_share: float = 0.93  # of what leaves comes back; with half of the events missing 0.82
-    # Shares of a peak that are left of it then, and where the object comes again; and the time [us]
-    # at the end in which it may not have come back. On davis346 and 5 Hz of background, 7000 ff.
-    back: tuple[float, float, float] = (0.34, 0.67, 3e5)
+    # Of a peak, that are left of it then, and where the object comes again. On davis346 and 5 Hz of
+    # background, flights of 10 s of base 7000.
+    back_shares: tuple[float, float] = (0.34, 0.67)
+    open_s: float = 0.3  # at the end of a recording, in which a level may not have come back
     min_share: float = 0.5  # of a track's points have a silhouette
     box_sizes: float = 3.0  # reach of the box from the track, in sizes of the image, and beside
     box_px: float = 4.0

@@ -23,10 +23,9 @@ from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, shown_table
-from experiments.paper.esim import ANGLES_DEG, ERRORS, R_ERROR, T_D_ERROR, drawn
-from experiments.studies.tangency import DURATION_S, FIRST_FLIGHT, N_FLIGHTS, T_D_S
-from sim.recording import Scene, SimConfig
-from sim.sensor.frames import FrameConfig
+from experiments.paper.esim import ERRORS, R_ERROR, T_D_ERROR
+from experiments.studies.tangency import AS_IT_IS, FLOWN, flights
+from sim.recording import Scene
 from ssac.arrays import Array
 from ssac.camera import Camera, known_pose
 from ssac.config import Config
@@ -38,13 +37,11 @@ from ssac.rules import PointRules
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.outline import Tangents, tangents
 
-AS_IT_IS = "as it is"
 TANGENTS, VELOCITIES, BODY = "true tangents", "true velocities", "true point of the body"
 BOTH, POSE, CLOCKS = "true tangents and point", "true pose", "clocks alike"
 CAUSES = (AS_IT_IS, TANGENTS, VELOCITIES, BODY, BOTH, POSE, CLOCKS)
 
 _STEP_S = 0.01  # of the images of the body's point
-_SHARE = "share_of_t_d"
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class Filmed:
         return point_motion(track, self.as_stated, PointRules())
 
 
-class Flown(NamedTuple):
+class FilmedPair(NamedTuple):
     """Two cameras' recordings, and what they filmed."""
 
     pair: Pair
@@ -144,30 +141,23 @@ class Flown(NamedTuple):
 
 def cause_cells() -> list[CauseCell]:
     """List all that is put right, on each flight."""
-    spline = replace(SimConfig().spline, duration_s=DURATION_S)
-    base = SimConfig(t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0))
-    return [
-        CauseCell(sim, flight, seed, cause)
-        for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG)
-        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_FLIGHTS))
-        for cause in CAUSES
-    ]
+    return [CauseCell(*one, cause) for one in flights() for cause in CAUSES]
 
 
-def load_flown(cells: Sequence[CauseCell], cache: Cache) -> Flown:
+def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
     """Load a recording, and build anew what was filmed."""
     sim, seed = cells[0].sim, cells[0].seed
     pair, scene = recorded_pair(cache, sim, seed), sim.scene(seed)
     one, other = Filmed(scene, 0, pair.rig.cam1, 0.0), Filmed(scene, 1, pair.rig.cam2, sim.t_d_s)
-    return Flown(pair, (one, other))
+    return FilmedPair(pair, (one, other))
 
 
-def cause_row(cell: CauseCell, flown: Flown) -> CauseRow:
+def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> CauseRow:
     """Run `tangency` with some truth, and score what it gives."""
-    (cam1, cam2, rig), cause = flown.pair, cell.cause
+    (cam1, cam2, rig), cause = filmed_pair.pair, cell.cause
     config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
     with ExitStack() as stack:
-        for name, of_truth in flown.instead(cause).items():
+        for name, of_truth in filmed_pair.instead(cause).items():
             stack.enter_context(patch.object(tangency, name, of_truth))
         method = "tangency-known" if cause == POSE else "tangency"
         estimate = Chain((cam1, cam2), rig, config).estimate(method)
@@ -183,7 +173,7 @@ def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
 
     table = by_group(runs, ("cause",), row)
     whole_ms = float(table.loc[table["cause"] == AS_IT_IS, T_D_ERROR.column].iloc[0])
-    return table.assign(**{_SHARE: 1.0 - table[T_D_ERROR.column] / whole_ms})
+    return table.assign(share_of_t_d=1.0 - table[T_D_ERROR.column] / whole_ms)
 
 
 def cause_figure(table: pd.DataFrame) -> Figure:
@@ -214,12 +204,11 @@ STUDIES = (
         "oracle",
         "What limits the method tangency: the error with parts of the truth",
         cause_cells,
-        Measure(load_flown, cause_row, CauseRow),
+        Measure(load_filmed, cause_row, CauseRow),
         Runs("oracle_runs.csv", ("angle_deg", "flight", "cause")),
         (made_of("oracle.csv", cause_table, "oracle_runs"),
          made_of("oracle.png", cause_figure, "oracle")),
-        config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
-                "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
+        config=FLOWN,
         numbers={"table.oracle": left_table},
     ),
 )  # fmt: skip

@@ -4,7 +4,7 @@ All see the same flights, 100 to 105 of 10 s at each angle, which are of no tabl
 is tuned on what is reported there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,14 @@ from ssac.track.outline import OutlineConfig
 FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
 T_D_S = 0.05
+FLOWN = {
+    "n_flights": N_FLIGHTS,
+    "first_flight": FIRST_FLIGHT,
+    "duration_s": DURATION_S,
+    "angles_deg": ANGLES_DEG,
+    "t_d_s": T_D_S,
+}
+"""Which flights these are, as provenance says it."""
 
 JOINT = "joint"  # the refinement from which all variants start, beside them
 _WORST = f"{T_D_ERROR.column}_worst"
@@ -88,17 +96,19 @@ class VariantRow(RunRow):
     normalised: float = np.nan  # that over its stated deviation
 
 
-def variant_cells() -> list[VariantCell]:
-    """List the joint refinement and every variant on each flight."""
+def flights() -> Iterator[tuple[SimConfig, int, int]]:
+    """Give what is simulated, the flight's number and its seed, of each flight."""
     spline = replace(SimConfig().spline, duration_s=DURATION_S)
     base = SimConfig(t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0))
+    for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG):
+        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_FLIGHTS)):
+            yield sim, flight, seed
+
+
+def variant_cells() -> list[VariantCell]:
+    """List the joint refinement and every variant on each flight."""
     variants: dict[str, TangencyConfig | None] = {JOINT: None, **VARIANTS}
-    return [
-        VariantCell(sim, flight, seed, variant, config)
-        for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG)
-        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_FLIGHTS))
-        for variant, config in variants.items()
-    ]
+    return [VariantCell(*one, *variant) for one in flights() for variant in variants.items()]
 
 
 def load_started(cells: Sequence[VariantCell], cache: Cache) -> tuple[Estimate, TwoViews, Rig]:
@@ -169,7 +179,6 @@ STUDIES = (
         Runs("tangency_runs.csv", ("angle_deg", "flight", "variant")),
         (made_of("tangency.csv", variant_means, "tangency_runs"),
          made_of("tangency.png", study_figure, "tangency")),
-        config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
-                "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
+        config=FLOWN,
     ),
 )  # fmt: skip

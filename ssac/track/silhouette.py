@@ -94,12 +94,13 @@ def silhouettes(
         seen, polarities = _seen(denoised, camera, samples_us, boxes)
         linked, _, _ = _linked_levels(seen, polarities)
         quiet_us = rules.quiet_ramps * float(np.median(ramps_us))
-        levels, left, came_back = _evened(seen[0][0], polarities, linked[1:], quiet_us, rules.back)
+        times = seen[0][0], quiet_us, 1e6 * rules.open_s
+        levels, left, came_back = _evened(*times, polarities, linked[1:], rules.back_shares)
         if came_back < rules.min_back_share * left:
             return None
         linked = levels, *linked[1:]
     counted = np.abs(linked[0][np.searchsorted(seen[0][0], samples_us[0]) :])
-    counted = counted if is_even else counted[counted > 0.0]
+    counted = counted if is_even else counted[counted > 0.0]  # lone steps count for nothing
     if len(counted) == 0:
         return None
     full = float(np.percentile(counted.astype(np.float64), rules.full_percentile))
@@ -204,16 +205,17 @@ def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, i
 @numba.njit(cache=True)
 def _evened(
     times_us: IntArray,
+    quiet_us: float,
+    open_us: float,
     polarities: NDArray[np.uint8],
     links: tuple[Links, Links],
-    quiet_us: float,
-    back: tuple[float, float, float],
+    back_shares: tuple[float, float],
 ) -> tuple[Levels, int, int]:
     """Give the events' levels (m,), each pixel's of which come back to where they left from.
 
-    A lone step is noise, and so is what never comes back but at the end of the recording, within
-    `back[2]` [us]. Gives beside how often more than that was left, and how often it came back by
-    itself: as `_excursion` tells.
+    A lone step is noise, and so is what never comes back but in the last `open_us` of the
+    recording. Gives beside how often more than that was left, and how often it came back by itself:
+    as `_excursion` tells.
     """
     before, after = links
     left, came_back = 0, 0
@@ -221,15 +223,11 @@ def _evened(
     for e in range(len(times_us)):
         first = e if before[e] == NONE else NONE
         while first != NONE:
-            last, peak, is_back = _excursion(first, times_us, polarities, after, quiet_us, back)
-            steps_away, steps_back = 0, 0
-            i = first
-            while i != after[last]:
-                is_away = (polarities[i] == 0) == (peak > 0)
-                steps_away += is_away
-                steps_back += not is_away
-                i = after[i]
-            is_open = not is_back and times_us[last] >= times_us[-1] - back[2]
+            last, peak, darker, lighter, is_back = _excursion(
+                first, times_us, quiet_us, polarities, after, back_shares
+            )
+            steps_away, steps_back = (darker, lighter) if peak > 0 else (lighter, darker)
+            is_open = not is_back and times_us[last] >= times_us[-1] - open_us
             left += abs(peak) > 1 and not is_open
             came_back += abs(peak) > 1 and is_back
             if abs(peak) > 1 and (is_open or steps_back > 0):
@@ -241,7 +239,7 @@ def _evened(
                     levels[i] = max(level, 0.0) if peak > 0 else -max(level, 0.0)
                     i = after[i]
                 if not is_open:
-                    levels[last] = 0.0
+                    levels[last] = 0.0  # but for rounding it is
             first = after[last]
     return levels, left, came_back
 
@@ -250,20 +248,23 @@ def _evened(
 def _excursion(
     first: int,
     times_us: IntArray,
+    quiet_us: float,
     polarities: NDArray[np.uint8],
     after: Links,
-    quiet_us: float,
-    back: tuple[float, float, float],
-) -> tuple[int, int, bool]:
-    """Follow a pixel's level from an event on until it is back: the last event, and the peak.
+    back_shares: tuple[float, float],
+) -> tuple[int, int, int, int, bool]:
+    """Follow a pixel's level from an event on until it is back.
 
-    It is back where nothing follows for long and little is left, `back[0]` of the peak; or
-    `back[1]`, if it was on its way and what follows leads away again.
+    It is back where nothing follows for long and little is left, the first share of the peak; or
+    the second, if it was on its way and what follows leads away again. Gives the last event, the
+    peak, the steps that made it darker and lighter, and whether it is back.
     """
-    level, peak = 0, 0
+    darker, lighter, peak = 0, 0, 0
     e = first
     while True:
-        level += -1 if polarities[e] else 1
+        darker += polarities[e] == 0
+        lighter += polarities[e] != 0
+        level = darker - lighter
         if abs(level) > abs(peak):
             peak = level
         following = after[e]
@@ -271,13 +272,11 @@ def _excursion(
         is_quiet = is_last or times_us[following] - times_us[e] > quiet_us
         is_away = (polarities[e] == 0) == (peak > 0)
         turns = not is_away and (is_last or (polarities[following] == 0) == (peak > 0))
-        is_little = abs(level) <= max(1.0, back[0] * abs(peak))
-        if is_little and (is_quiet or (turns and level * peak <= 0)):
-            return e, peak, True
-        if turns and is_quiet and abs(level) <= back[1] * abs(peak):
-            return e, peak, True
-        if is_last:
-            return e, peak, False
+        is_little = abs(level) <= max(1.0, back_shares[0] * abs(peak))
+        is_back = is_little and (is_quiet or (turns and level * peak <= 0))
+        is_back |= turns and is_quiet and abs(level) <= back_shares[1] * abs(peak)
+        if is_back or is_last:
+            return e, peak, darker, lighter, is_back
         e = following
 
 

@@ -15,9 +15,9 @@ from experiments.studies.oracle import (
     TANGENTS,
     VELOCITIES,
     CauseCell,
-    Flown,
+    FilmedPair,
     cause_row,
-    load_flown,
+    load_filmed,
 )
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
@@ -39,11 +39,11 @@ CELL = CauseCell(SIM, 0, 1, AS_IT_IS)
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
-    return load_flown([CELL], Cache(tmp_path_factory.mktemp("cache")))
+def flown(tmp_path_factory: pytest.TempPathFactory) -> FilmedPair:
+    return load_filmed([CELL], Cache(tmp_path_factory.mktemp("cache")))
 
 
-def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: Flown) -> None:
+def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: FilmedPair) -> None:
     R, t = known_pose(flown.pair.rig)
     Ks = flown.pair.rig.cam1.K, flown.pair.rig.cam2.K
     times_s = np.arange(0.5, 4.5, 0.005)
@@ -63,14 +63,14 @@ def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: Flown) -> N
 
 
 @pytest.mark.parametrize(("cause", "share"), [(TANGENTS, 1e-3), (BOTH, 1e-3), (BODY, 0.5)])
-def test_truth_takes_the_error_away(cause: str, share: float, flown: Flown) -> None:
+def test_truth_takes_the_error_away(cause: str, share: float, flown: FilmedPair) -> None:
     as_it_is, right = (cause_row(replace(CELL, cause=one), flown) for one in (AS_IT_IS, cause))
     assert as_it_is.status == right.status == "ok"
     assert right.t_d_error_ms < share * as_it_is.t_d_error_ms
     assert tangency.tangents is tangents  # nothing stays in its place
 
 
-def test_other_truth_is_used(flown: Flown) -> None:
+def test_other_truth_is_used(flown: FilmedPair) -> None:
     found = {one: cause_row(replace(CELL, cause=one), flown) for one in (POSE, VELOCITIES, CLOCKS)}
     assert found[POSE].r_error_deg == found[POSE].t_error_deg == 0.0
     errors_ms = [cause_row(CELL, flown).t_d_error_ms, *(one.t_d_error_ms for one in found.values())]
