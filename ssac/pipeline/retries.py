@@ -48,8 +48,10 @@ def other_clocks(
     rules = config.rules.retry
     if not config.prior_ppm > 0.0:
         return
-    # The skew found is the whole one, where a search found the rate of which the rest is fitted.
-    is_far = max(found.against_skew, abs(found.skew_ppm) / config.prior_ppm) > rules.far_skew
+    # Tangents may be led into what a skew near zero allows, by a start that is against it. The
+    # skew found is the whole one, where a search found the rate of which the rest is fitted.
+    against = [one.against_skew for one in (found, found.start) if one is not None]
+    is_far = max(*against, abs(found.skew_ppm) / config.prior_ppm) > rules.far_skew
     if asked.skew_prior_ppm is None and not of_track:
         if is_far or is_vague(found, rules) or found.status in SETTLED_BY[FAST]:
             yield FAST, replace(config, skew_prior_ppm=rules.fast_ppm)
