@@ -175,6 +175,10 @@ class SilhouetteRules:
     back_shares: tuple[float, float] = (0.34, 0.67)
     open_s: float = 0.3  # at the end of a recording, in which a level may not have come back
     min_share: float = 0.5  # of a track's points have a silhouette
+    # Median rms radius of an object whose pixels leave its box too late, or never; and share of the
+    # pixels that seem to be covered at the start which must be in reach of it then.
+    large_px: float = 14.0
+    min_covered_share: float = 0.9
     box_sizes: float = 3.0  # reach of the box from the track, in sizes of the image, and beside
     box_px: float = 4.0
     box_points: int = 20  # on each side, of which the largest image sets the box
@@ -534,6 +538,7 @@ class TangencyRules:
     # the tangents: by 82 odd flights of seeds 1 to 9 (numbers k with k // 9 even), 3 to 60 s.
     hidden_width: float = 1.8
     least_size_px: float = 3.5  # rms, of both images together, for an outline
+    area_reach_s: float = 0.5  # about its offset, in which that of the centres of area is searched
     max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations
     max_rounds: int = 8  # of finding the tangents and refining; four are usual
     steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would

@@ -47,6 +47,35 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
     start_s, end_s = views.common_s(found.t_d_s)
     if end_s - start_s > views.rules.body.longest_s:
         return f"it is over {views.rules.body.longest_s:.0f} s long, for which they are enough"
+    if is_large(views):
+        return "its images are so large that the outlines tell more"
+    shapes = _shapes_of(views)
+    return shapes if isinstance(shapes, str) else _followed(found, views, shapes)
+
+
+def is_large(views: TwoViews) -> bool:
+    """Whether errors of a body, which grow with its image, are above those of tangents."""
+    sizes_px = [view.size_px for view in views.alone.views if view is not None]
+    return max(sizes_px, default=0.0) >= views.rules.silhouette.large_px
+
+
+def by_areas(views: TwoViews, t_d_s: float) -> TwoViews | None:
+    """Give the views where the object is at the centres of its silhouettes; None without them.
+
+    Offsets are searched about one [s].
+    """
+    shapes = _shapes_of(views)
+    if isinstance(shapes, str):
+        return None
+    reach_s = views.rules.tangency.area_reach_s
+    config = replace(views.config, interval_s=(t_d_s - reach_s, t_d_s + reach_s))
+    one, other = (shape.centres for shape in shapes)
+    return TwoViews(one, other, views.rig, config, clock=views.clock)
+
+
+def _shapes_of(views: TwoViews) -> tuple[_Shape, _Shape] | str:
+    if views.cleans is None:
+        return ""
     if any(clean.on_line is not None for clean in views.cleans):
         return "a line holds the object, which belongs to its silhouette"
     shapes = []
@@ -59,7 +88,7 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
         if isinstance(shape, str):
             return shape
         shapes.append(shape)
-    return _followed(found, views, (shapes[0], shapes[1]))
+    return shapes[0], shapes[1]
 
 
 def _shape_of(shaped: ShapedTrack, views: TwoViews, k: int) -> _Shape | str:

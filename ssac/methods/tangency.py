@@ -21,11 +21,12 @@ from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
 from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation, sampson_derivative
 from ssac.geometry.pose import pencils, pose_step
+from ssac.methods.algorithms import algorithm_2
 from ssac.methods.hypotheses import Choice, is_in_front
-from ssac.methods.joint import refine
+from ssac.methods.joint import joint_from, refine
 from ssac.methods.method import method
 from ssac.methods.refinement import Refinement, Round, smooth_errors
-from ssac.methods.rigid_body import body_points
+from ssac.methods.rigid_body import body_points, by_areas, is_large
 from ssac.methods.verdict import certain, widened
 from ssac.rules import TangencyRules
 from ssac.search.two_views import TwoViews
@@ -144,34 +145,51 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     """Time offset and relative pose from epipolar tangents, or the offset alone of a known pose.
 
     The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
-    for the tangents: where `joint` refuses, they are tried from the search that it started from.
+    for the tangents: where `joint` refuses, they are tried from the search that it started from,
+    and before that from both steps by the centres of its silhouettes, if the object is large.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
     Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one. The
     start is of `joint_from`; `n_samples` and `d_avg_px` are of the pairs of tangents.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
-    search, rules = start.start, views.rules.verdict
     start = replace(start, method=name, start=start)
     if is_tiny(views):
         return start
+    is_vague = not views.pose_is_known and start.status in SETTLED_BY["tangency"]
+    if is_vague and is_large(views):
+        areas = by_areas(views, start.t_d_s)
+        if areas is not None:
+            of_areas = joint_from(algorithm_2(areas), areas)
+            found = _refined(replace(of_areas, method=name, start=of_areas), areas, views)
+            if found.status == Status.OK:
+                return found
+    return _refined(start, views, views)
+
+
+def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
+    """Refine what `joint_from` found of positions by tangents, or of these where it refuses."""
+    assert start.start is not None
+    search, rules = start.start.start, views.rules.verdict
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
         return with_body(certain(refine_tangents(start, views), rules), views)
-    search = replace(search, method=name, start=start)
+    search = replace(search, method=start.method, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):
         # The refinement of this search was refused for its covariance.
-        found = certain(refine_tangents(Choice(views, refine).settled(search), views), rules)
+        settled = Choice(positions, refine).settled(search)
+        found = certain(refine_tangents(settled, views), rules)
         strays_s, most = abs(found.t_d_s - start.t_d_s), views.rules.tangency.max_sigmas
         if found.status != Status.OK:  # what fits poorly is not to be relied upon in part
             return found if found.status == Status.POOR_FIT else start
         # Where both disagree, either may be wrong: nothing is surer than their difference.
         is_astray = strays_s > most * start.t_d_std_s
         return widened(start, strays_s**2) if is_astray else with_body(found, views)
-    if views.alone.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
+    if positions.alone.repeats or len(search.alternatives_s) == 0:  # motion leaves the offset open
         return start
 
     def refined(search: Estimate, views: TwoViews) -> Estimate:
-        return refine_tangents(refine(search, views), views)  # positions lead to the tangents
+        # positions lead to the tangents
+        return refine_tangents(refine(search, positions), views)
 
     found = certain(Choice(views, refined, by_own_pairs=True).settled(search), rules)
     return with_body(found, views) if found.status == Status.OK else start

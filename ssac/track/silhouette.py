@@ -11,6 +11,7 @@ taken for granted that what leaves its level comes back to it: steps back are as
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -31,6 +32,11 @@ after each, `NONE` without."""
 
 Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, IntArray]]
 """Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
+
+Counted = tuple[Seen, NDArray[np.uint8]]
+"""What is seen of some events, and their polarities."""
+
+Counts = NDArray[np.int32]
 
 NONE = -1
 """In place of an event's number."""
@@ -87,11 +93,48 @@ def silhouettes(
     moving = np.gradient(where_px, since_s, axis=0)
     speeds = np.maximum(np.linalg.norm(moving, axis=1), rules.least_speed_px_s)
     ramps_us = np.interp(1e-6 * (samples_us - times_us[0]), since_s, 1e6 * rules.ramp_px / speeds)
-    seen, polarities = _seen(recorded, camera, samples_us, boxes)
+    half = int(np.ceil(rules.window_sizes * np.percentile(sizes_px, rules.large_percentile)))
+    corners = np.rint(where_px).astype(np.int64) - half
+    placed = np.zeros((len(samples_us), 2), np.int64)
+    placed[own] = corners
+    is_large = float(np.median(sizes_px)) >= rules.large_px
+    start = where_px[0], rules.window_sizes * sizes_px[0], rules.min_covered_share
+    shown, cleaner = (
+        _with_covered(one, *start) if is_large else one
+        for one in (_seen(events, camera, samples_us, boxes) for events in (recorded, denoised))
+    )
+    found = _counted_up(shown, cleaner, ramps_us, rules)
+    if found is None:
+        return None
+    seen, linked, full = found
+    shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
+    share_of = full, rules.curvature
+    sums = _image_sums(seen, linked, ramps_us, share_of, placed, shares)[own]
+    off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
+    good = (sums[:, 0] > 0.0) & (is_large | (sums[:, 6] == 0.0)) & (sums[:, 7] == 0.0)
+    good &= off_px < rules.max_off_sizes * sizes_px
+    if np.mean(good) < rules.min_share:
+        return None
+    known = np.where(good[:, None], sums[:, 1:6], np.nan)
+    return Silhouettes(known[:, :2], known[:, 2:], Images(shares[own], corners))
+
+
+def _counted_up(
+    recorded: Counted | None, denoised: Counted | None, ramps_us: Array, rules: SilhouetteRules
+) -> tuple[Seen, Linked, float] | None:
+    """Count up all events, or where these do not come out even the denoised ones.
+
+    Gives beside the level of a pixel that is covered all over.
+    """
+    if recorded is None:
+        return None
+    seen, polarities = recorded
     linked, rests, closed = _linked_levels(seen, polarities)
     is_even = closed >= rules.min_closed_share * rests
     if not is_even:  # noise, or thresholds that differ
-        seen, polarities = _seen(denoised, camera, samples_us, boxes)
+        if denoised is None:
+            return None
+        seen, polarities = denoised
         linked, _, _ = _linked_levels(seen, polarities)
         quiet_us = rules.quiet_ramps * float(np.median(ramps_us))
         times = seen[0][0], quiet_us, 1e6 * rules.open_s
@@ -99,31 +142,70 @@ def silhouettes(
         if came_back < rules.min_back_share * left:
             return None
         linked = levels, *linked[1:]
-    counted = np.abs(linked[0][np.searchsorted(seen[0][0], samples_us[0]) :])
+    counted = np.abs(linked[0][np.searchsorted(seen[0][0], seen[2][0][0]) :])
     counted = counted if is_even else counted[counted > 0.0]  # lone steps count for nothing
     if len(counted) == 0:
         return None
-    full = float(np.percentile(counted.astype(np.float64), rules.full_percentile))
-    half = int(np.ceil(rules.window_sizes * np.percentile(sizes_px, rules.large_percentile)))
-    corners = np.rint(where_px).astype(np.int64) - half
-    placed = np.zeros((len(samples_us), 2), np.int64)
-    placed[own] = corners
-    shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
-    share_of = full, rules.curvature
-    sums = _image_sums(seen, linked, ramps_us, share_of, placed, shares)[own]
-    off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
-    good = (sums[:, 0] > 0.0) & (sums[:, 6] == 0.0) & (sums[:, 7] == 0.0)
-    good &= off_px < rules.max_off_sizes * sizes_px
-    if np.mean(good) < rules.min_share:
+    return seen, linked, float(np.percentile(counted.astype(np.float64), rules.full_percentile))
+
+
+def _with_covered(
+    counted: Counted, start_px: Array, reach_px: float, min_share: float
+) -> Counted | None:
+    """Put first the events by which the object would have covered what it covers at the start.
+
+    They are as many as a pixel gets lighter by, of an object that is darker than what it passes,
+    or darker by, of a light one. None unless that share of these pixels is where the object starts
+    (2,), within reach of it: one that is both is in doubt everywhere.
+    """
+    ((times_us, x, y), shape, samples), polarities = counted
+    levels, has_left, least, most = _levels_since_start(*counted)
+    is_dark = np.count_nonzero(least < -1) < np.count_nonzero(most > 1)
+    bare = np.where(has_left, levels * (np.abs(levels) > 1), least if is_dark else most)
+    rows, cols = np.nonzero(bare)
+    bare = bare[rows, cols]
+    near = np.hypot(cols - start_px[0], rows - start_px[1]) <= reach_px
+    if np.count_nonzero(near) < min_share * len(near):
         return None
-    found = np.where(good[:, None], sums[:, 1:6], np.nan)
-    return Silhouettes(found[:, :2], found[:, 2:], Images(shares[own], corners))
+    first, n = np.searchsorted(times_us, samples[0][0], side="right"), np.abs(bare)
+
+    def put(covering: NDArray[Any], events: NDArray[Any]) -> NDArray[Any]:
+        return np.append(np.repeat(covering, n).astype(events.dtype), events[first:])
+
+    times_us = put(np.full(len(n), samples[0][0] + 1), times_us)
+    return ((times_us, put(cols, x), put(rows, y)), shape, samples), put(bare > 0, polarities)
 
 
-def _seen(
-    events: Events, camera: Camera, samples_us: IntArray, boxes: IntArray
-) -> tuple[Seen, NDArray[np.uint8]]:
-    """Give what is seen of some events, and their polarities."""
+@numba.njit(cache=True)
+def _levels_since_start(
+    seen: Seen, polarities: NDArray[np.uint8]
+) -> tuple[Counts, Mask, Counts, Counts]:
+    """Count up each pixel's events, darker up, until it leaves the box for the first time.
+
+    Gives the levels then, whether it did leave, and the least and largest ones before.
+    """
+    (times_us, x, y), shape, (samples_us, boxes) = seen
+    n = len(samples_us)
+    inside = np.zeros(shape, np.int32)  # the last sample with it in the box, since the start
+    level = np.zeros(shape, np.int32)
+    least, most = level.copy(), level.copy()
+    i = 1
+    for e in range(np.searchsorted(times_us, samples_us[0], side="right"), len(times_us)):
+        while i < n and times_us[e] > samples_us[i]:
+            for row in range(boxes[i, 2], boxes[i, 3] + 1):
+                for col in range(boxes[i, 0], boxes[i, 1] + 1):
+                    if inside[row, col] == i - 1:
+                        inside[row, col] = i
+            i += 1
+        col, row = x[e], y[e]
+        if inside[row, col] == i - 1:
+            level[row, col] += -1 if polarities[e] else 1
+            least[row, col] = min(least[row, col], level[row, col])
+            most[row, col] = max(most[row, col], level[row, col])
+    return level, inside < i - 1, least, most
+
+
+def _seen(events: Events, camera: Camera, samples_us: IntArray, boxes: IntArray) -> Counted:
     t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
     return ((t_us, x, y), (camera.height, camera.width), (samples_us, boxes)), polarities
 

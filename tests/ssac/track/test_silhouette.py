@@ -115,6 +115,26 @@ def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
     assert np.abs((found.centres_px - centres)[found.known].mean(axis=0)).max() < 0.3
 
 
+@pytest.mark.parametrize("luminance", [DARK, 0.95])
+def test_what_a_large_object_covers_at_first_is_told_by_what_comes_later(luminance) -> None:
+    # It moves by 60 px, and the box is of over 30 on each side: most pixels never leave it.
+    events, times_s, centres, spread = recorded(corner, 37.0, luminance, length_px=60.0)
+    assert found_of(events, times_s, centres, spread) is None
+    found = found_of(events, times_s, centres, spread, large_px=5.0)
+    assert found is not None
+    assert found.known.mean() > 0.95
+    off = (found.centres_px - centres)[found.known]
+    assert np.abs(off.mean(axis=0)).max() < 0.3  # coarse levels of a bright one, as above
+    assert np.sqrt(np.mean(off**2)) < 0.4  # what is never laid bare, and so told, is a small part
+
+
+def test_a_large_object_both_darker_and_lighter_than_its_background_has_none() -> None:
+    events, times_s, centres, spread = recorded(corner, 37.0, length_px=60.0)
+    left = events["x"] < MIDDLE[0]
+    events = events_from_arrays(events["t"], events["x"], events["y"], events["p"] ^ left)
+    assert found_of(events, times_s, centres, spread, large_px=5.0) is None
+
+
 def test_an_image_too_small_has_no_silhouette() -> None:
     events, times_s, centres, spread = recorded(disc, 0.0)
     small = np.diag([0.99 * SilhouetteRules.min_size_px, 0.0]) ** 2
