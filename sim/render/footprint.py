@@ -20,26 +20,19 @@ _CHUNK = 256  # instants projected at a time, to bound memory
 # Beyond this, products of the native renderer's edge functions do not fit 64 bits: they are three
 # times the square of a corner's place, in 1/256 of a sample, of which 32 lie along a pixel at most.
 _FAR_PX = 1 << 16
+# How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
+# and with it the bend of an edge between two corners.
+_MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
 
 
 @dataclass(frozen=True)
 class Footprint:
     """The drone's image in one camera at n instants."""
 
-    low_px: FloatArray  # (n, 2) least column and row of its outline; NaN where not visible
-    high_px: FloatArray  # (n, 2) greatest
     depth_m: FloatArray  # (n, 2) least and greatest depth
     visible: NDArray[np.bool_]  # (n,) the outline's box overlaps the image
+    boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
     moved_px: FloatArray  # (n,) largest image displacement of the outline since the instant before
-
-
-def outline_points(drone: Drone, camera: Camera) -> tuple[FloatArray, ...]:
-    """Return points of each part [m] between which its silhouette is all but straight.
-
-    They are the corners of its convex hull, and points along the hull's edges where lines bend.
-    """
-    piece_m = None if camera.distortion_model == "none" else drone.size_m * _PIECE_OF_SIZE
-    return tuple(_hull_points(part.vertices_B_m, piece_m) for part in drone.parts)
 
 
 def footprint(
@@ -50,7 +43,9 @@ def footprint(
     `moved_px` is 0 wherever the drone is not visible, before or after. SimError when the drone
     passes through the camera's image plane within its view.
     """
-    hulls = outline_points(drone, camera)
+    # Between these points of each part its silhouette is all but straight.
+    piece_m = None if camera.distortion_model == "none" else drone.size_m * _PIECE_OF_SIZE
+    hulls = [_hull_points(part.vertices_B_m, piece_m) for part in drone.parts]
     parts: list[tuple[FloatArray, ...]] = []
     last_px: FloatArray | None = None
     for start in range(0, len(times_s), _CHUNK):
@@ -76,8 +71,15 @@ def footprint(
     # A pixel reaches half a pixel beyond its centre.
     edge = np.array([camera.width, camera.height]) - 0.5
     visible = np.all((high > -0.5) & (low < edge), axis=-1)
+    margin = _MARGIN_PX[camera.distortion_model]
+    low = np.where(visible[:, None], low - margin, 0.0)
+    high = np.where(visible[:, None], high + margin, 0.0)
+    last = np.array([camera.width - 1, camera.height - 1])
+    first_px = np.clip(np.floor(low + 0.5), 0, last)
+    last_px = np.clip(np.floor(high + 0.5), 0, last)
+    boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
     both = visible & np.concatenate([visible[:1], visible[:-1]])
-    return Footprint(low, high, depth, visible, np.where(both, moved, 0.0))
+    return Footprint(depth, visible, boxes, np.where(both, moved, 0.0))
 
 
 def _parts_in_world(drone: Drone, times_s: FloatArray, T_W_B: FloatArray) -> FloatArray:
@@ -147,28 +149,20 @@ def choose_instants(
     return np.interp(np.linspace(0.0, count[-1], n_instants), count, probes_s)
 
 
-# How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
-# and with it the bend of an edge between two corners.
-MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
-
-
 class Views(NamedTuple):
     """What drawing n instants of one camera needs."""
 
     times_s: FloatArray  # (n,) [s]
     visible: NDArray[np.bool_]  # (n,)
     depth_m: FloatArray  # (n, 2) least and greatest depth
-    boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
+    boxes: IntArray  # (n, 4), as of `Footprint`
     T_C_P: Float32Array  # (n, parts, 4, 4)
 
-    def chosen(self, which: slice | IntArray) -> "Views":
-        """Return some of the instants."""
-        return Views(**{name: values[which] for name, values in self._asdict().items()})
 
-    def crop_size(self) -> tuple[int, int]:
-        """Width and height [px] of the smallest crop that is large enough for every box."""
-        width, height = (self.boxes[:, 2:] - self.boxes[:, :2]).max(axis=0)
-        return int(width), int(height)
+def crop_size(boxes: IntArray) -> tuple[int, int]:
+    """Width and height [px] of the smallest crop that is large enough for every box (n, 4)."""
+    width, height = (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
+    return int(width), int(height)
 
 
 def plan_views(
@@ -181,16 +175,9 @@ def plan_views(
 ) -> Views:
     """Prepare the chosen instants for drawing."""
     visible = seen.visible[chosen]
-    margin = MARGIN_PX[camera.distortion_model]
-    low = np.where(visible[:, None], seen.low_px[chosen] - margin, 0.0)
-    high = np.where(visible[:, None], seen.high_px[chosen] + margin, 0.0)
-    last = np.array([camera.width - 1, camera.height - 1])
-    first_px = np.clip(np.floor(low + 0.5), 0, last)
-    last_px = np.clip(np.floor(high + 0.5), 0, last)
-    boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
     T_C_P = camera.T_C_W @ _parts_in_world(drone, times_s[chosen], T_W_B[chosen])
     # Out of view a part shrinks to a point on the axis, in front, which covers no sample.
     T_C_P[:, ~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
     T_C_P[:, ~visible, 2, 3] = 1.0
     matrices = np.ascontiguousarray(T_C_P.swapaxes(0, 1), np.float32)
-    return Views(times_s[chosen], visible, seen.depth_m[chosen], boxes, matrices)
+    return Views(times_s[chosen], visible, seen.depth_m[chosen], seen.boxes[chosen], matrices)

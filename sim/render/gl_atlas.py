@@ -13,7 +13,7 @@ import numpy as np
 from sim.arrays import Float32Array, IntArray
 from sim.errors import SimError
 from sim.render.config import DISTORTION_MODELS, RenderConfig
-from sim.render.footprint import Views
+from sim.render.footprint import Views, crop_size
 from sim.render.gl_context import open_context
 from sim.render.lattice import average_tiles
 from sim.scene.drone import Drone, Part, part_faces, piece_size_m
@@ -64,7 +64,7 @@ class GLPainter:
         self, camera: Camera, views: Views, corner_px: IntArray, background: Float32Array
     ) -> Float32Array:
         """Draw crops, as `sim.render.native.NativePainter.paint` does."""
-        lattice, size_px = self._config.lattice, views.crop_size()
+        lattice, size_px = self._config.lattice, crop_size(views.boxes)
         tile = lattice.tile_size(*size_px)
         # Tiles stand in rows: the column and row at which each starts.
         row, column = np.divmod(np.arange(len(views.times_s)), max(1, ATLAS_SIZE // tile[0]))

@@ -14,7 +14,7 @@ from numba import njit
 
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.render.config import DISTORTION_MODELS, RenderConfig
-from sim.render.footprint import Views
+from sim.render.footprint import Views, crop_size
 from sim.render.lattice import (
     COUNT_BIT,
     FULL_CODE,
@@ -52,7 +52,7 @@ class NativePainter:
     ) -> Float32Array:
         """Draw crops (n, height, width), whose first pixels are at `corner_px` (n, 2)."""
         lattice = self._config.lattice
-        width, height = views.crop_size()
+        width, height = crop_size(views.boxes)
         largest = max(1, BLOCK_SAMPLES // lattice.a)
         block_px = tuple(-(-size // -(-size // largest)) for size in (width, height))
         tile = lattice.tile_size(*block_px)

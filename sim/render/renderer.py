@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
-from sim.render.footprint import Views, footprint, plan_views
+from sim.render.footprint import Views, crop_size, footprint, plan_views
 from sim.render.gl_atlas import MAX_INSTANCES, GLPainter
 from sim.render.gl_context import GLContext
 from sim.render.native import NativePainter
@@ -22,7 +22,6 @@ from sim.scene.drone import Drone
 from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt
 
-PLANNED_AT_ONCE = 4096  # instants: several batches
 CHECKED_INSTANTS = 25  # of each camera, drawn by both painters
 # What the two may differ by. Corners are rounded to 1/256 of a sample from double precision here
 # and from single precision there, and surfaces cut into each other where 24 bits of depth end:
@@ -113,23 +112,16 @@ class Renderer:
         is_checked[self._checked(np.flatnonzero(seen.visible))] = True
         chosen = np.flatnonzero(near_view)
         while len(chosen):
-            # Not all at once, as the matrices take memory; those that more instants could still
-            # join for a batch are planned again with these.
-            views = plan_views(self.drone, camera, seen, chosen[:PLANNED_AT_ONCE], times_s, T_W_B)
-            left_over = MAX_INSTANCES if len(chosen) > PLANNED_AT_ONCE else 0
-            start = 0
-            while start < len(views.times_s) - left_over:
-                stop = self._end_of_batch(views, start)
-                batch = views.chosen(slice(start, stop))
-                yield self._drawn(camera, batch, background, is_checked[chosen[start:stop]])
-                start = stop
-            chosen = chosen[start:]
+            size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])
+            batch, chosen = chosen[:size], chosen[size:]
+            views = plan_views(self.drone, camera, seen, batch, times_s, T_W_B)
+            yield self._drawn(camera, views, background, is_checked[batch])
 
     def _drawn(
         self, camera: Camera, batch: Views, background: Float32Array, is_checked: NDArray[np.bool_]
     ) -> Crops:
         """Draw a batch, and compare those of its instants that are to be checked."""
-        width, height = batch.crop_size()
+        width, height = crop_size(batch.boxes)
         corner_px = np.minimum(batch.boxes[:, :2], [camera.width - width, camera.height - height])
         luminance = self._painter.paint(camera, batch, corner_px, background)
         if is_checked.any():
@@ -137,16 +129,13 @@ class Renderer:
             self._compare(camera, batch, here, corner_px, background, luminance)
         return Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 
-    def _end_of_batch(self, views: Views, start: int) -> int:
+    def _size_of_batch(self, boxes: IntArray) -> int:
         """Find how many of the coming instants are painted at a time, in crops of one size."""
         # The crop grows with the batch, so the first one's room bounds that of all.
-        room = self._painter.room(*views.chosen(slice(start, start + 1)).crop_size())
-        stop = min(len(views.times_s), start + room)
-        while True:
-            room = self._painter.room(*views.chosen(slice(start, stop)).crop_size())
-            if room >= stop - start:
-                return stop
-            stop = start + room
+        size = min(len(boxes), self._painter.room(*crop_size(boxes[:1])))
+        while (room := self._painter.room(*crop_size(boxes[:size]))) < size:
+            size = room
+        return size
 
     def _checked(self, visible: IntArray) -> IntArray:
         """Choose instants spread evenly over those in view, each within its share of them."""
@@ -172,8 +161,8 @@ class Renderer:
         lattice = self.config.lattice
         at_most = MAX_ROWS_OF_PIXEL * (lattice.a + lattice.b) * contrast / lattice.samples_per_pixel
         for k in here:
-            alone = batch.chosen(np.array([k]))
-            width, height = alone.crop_size()
+            alone = Views._make(values[[k]] for values in batch)
+            width, height = crop_size(alone.boxes)
             x0, y0 = alone.boxes[0, :2]
             wanted = self._reference.paint(camera, alone, alone.boxes[:, :2], background)[0]
             drawn = luminance[k, y0 - corner_px[k, 1] :, x0 - corner_px[k, 0] :][:height, :width]

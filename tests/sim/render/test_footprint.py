@@ -52,7 +52,7 @@ def test_more_instants_than_are_projected_at_a_time() -> None:
     whole = footprint(DRONE, camera, times_s, T_W_B)
     part = footprint(DRONE, camera, times_s[4000:4200], T_W_B[4000:4200])  # over 4096
     np.testing.assert_allclose(whole.moved_px[4001:4200], part.moved_px[1:], rtol=1e-9)
-    np.testing.assert_array_equal(whole.low_px[4000:4200], part.low_px)
+    np.testing.assert_array_equal(whole.boxes[4000:4200], part.boxes)
 
 
 def test_a_drone_that_reaches_beyond_the_renderers_numbers_is_refused() -> None:

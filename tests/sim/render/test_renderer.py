@@ -27,7 +27,6 @@ from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone
 from sim.scene.flyers import quadrotor
-from sim.scene.trajectory import PosesAt, SplineConfig, random_spline
 from tests.sim.render.stock_pyrender import StockPyrender
 from tests.sim.scenes import (
     LENSES,
@@ -75,12 +74,11 @@ def rendered(*scene: Any) -> Image:
 def full_frames(*scene: Any) -> Image:
     """Draw the same by OpenGL, a whole frame at a time."""
     drone, camera, times_s, T_W_B, background, config = scene
-    painter, every = GLPainter(drone, config), np.arange(len(times_s))
-    seen = footprint(drone, camera, times_s, T_W_B)
-    whole = plan_views(drone, camera, seen, every, times_s, T_W_B)._replace(
-        boxes=np.tile([0, 0, camera.width, camera.height], (len(every), 1))
+    painter, seen = GLPainter(drone, config), footprint(drone, camera, times_s, T_W_B)
+    seen.boxes[:] = 0, 0, camera.width, camera.height
+    each = (
+        plan_views(drone, camera, seen, np.array([k]), times_s, T_W_B) for k in range(len(times_s))
     )
-    each = (whole.chosen(slice(k, k + 1)) for k in every)
     zero = np.zeros((1, 2), np.int64)
     return np.concatenate([painter.paint(camera, view, zero, background) for view in each])
 
@@ -117,27 +115,6 @@ def test_batches_do_not_show(lens: str, monkeypatch: pytest.MonkeyPatch) -> None
         again = rendered(drone, camera, times_s, T_W_B, background, BRIGHT)
         np.testing.assert_array_equal(again[inside], whole[inside])
         assert (again != whole).sum() <= 1  # cut edges: see test_same_pixels_where_the_image_ends
-
-
-def test_planning_a_part_at_a_time_gives_the_same_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And poses may be worked out as they are asked for."""
-    camera = make_camera("none", HALF_VGA)
-    trajectory = random_spline(SplineConfig(duration_s=2.0), np.random.default_rng(3))
-    times_s = np.linspace(0.0, 2.0, 500)
-    background = grey(camera)
-    monkeypatch.setattr(sim.render.renderer, "MAX_INSTANCES", 20)
-    monkeypatch.setattr(sim.render.native, "BATCH", 20)
-    with Renderer(QUADROTOR, RenderConfig(Lattice(2, 1), check=False)) as renderer:
-        T_W_B = trajectory.poses(times_s)
-        at_once = list(renderer.crops(camera, times_s, T_W_B, background))
-        for n in (21, 27, 64, 499):
-            monkeypatch.setattr(sim.render.renderer, "PLANNED_AT_ONCE", n)
-            poses = PosesAt(trajectory, times_s)
-            in_parts = list(renderer.crops(camera, times_s, poses, background))
-            for one, other in zip(at_once, in_parts, strict=True):
-                np.testing.assert_array_equal(one.times_s, other.times_s)
-                np.testing.assert_array_equal(one.luminance, other.luminance)
-    assert len(at_once) >= 25
 
 
 @pytest.mark.usefixtures("each_renderer")
@@ -297,9 +274,8 @@ def test_same_pixels_where_the_image_ends(lattice: Lattice, lens: str) -> None:
     centres_m = np.stack([x_m.ravel(), np.full(4, -3.1), z_m.ravel()], axis=-1)
     T_W_B = poses(np.concatenate([centres_m * [1, 1, 0.2], centres_m * [0.3, 1, 1]]), seed=2)
     times_s = np.arange(8.0)
-    seen = footprint(BOX, camera, times_s, T_W_B)
-    edge = np.array(HALF_VGA) - 0.5
-    assert ((seen.low_px < -0.5) | (seen.high_px > edge)).any(axis=1).sum() >= 6
+    boxes = footprint(BOX, camera, times_s, T_W_B).boxes
+    assert ((boxes[:, :2] == 0) | (boxes[:, 2:] == HALF_VGA)).any(axis=1).sum() >= 6
     background = noise_image(camera)
     scene = (BOX, camera, times_s, T_W_B, background, replace(BRIGHT, lattice=lattice))
     differences = rendered(*scene) != full_frames(*scene)
