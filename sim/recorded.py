@@ -17,7 +17,7 @@ from sim.render.gl_context import GLContext
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import Camera, Rig
 from sim.scene.trajectory import Trajectory
-from sim.sensor.frames import Frames, Images
+from sim.sensor.frames import Frames
 
 MAX_SKEW_PPM = 100_000.0
 """Largest skew, either way: a tenth, far beyond any oscillator."""
@@ -114,9 +114,8 @@ class Recording(Flight):
 class Sink(Protocol):
     """Takes what one camera records, as it records it, on the camera's clock."""
 
-    @property
-    def images(self) -> Images:
-        """Takes each frame when its exposure closes."""
+    def take_frame(self, k: int, image: NDArray[np.uint8], /) -> None:
+        """Take frame k when its exposure closes; the array changes afterwards."""
 
     def add(self, events: NDArray[Any], /) -> None:
         """Take the next events, of EVENT_DTYPE, all in order of time."""

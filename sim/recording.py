@@ -138,6 +138,9 @@ class _InMemory:
         self.frames = Frames(times_us, self.images, exposure_s)
         self.events: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
 
+    def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
+        self.images[k] = image
+
     def add(self, events: NDArray[Any]) -> None:
         self.events.append(events)
 
@@ -218,8 +221,8 @@ def _record(
     clock_us = round(1e6 * camera.time_offset_s)
     stamps_us = times_us + drift.added_us(times_us) + clock_us
     sink = open_sink(camera, stamps_us, config.frames.exposure_s)
-    images = effects.images(sink.images)
-    exposer = FrameExposer(config.frames, background, len(times_us), images, effects.frame_start_s)
+    take = effects.through_noise(sink.take_frame)
+    exposer = FrameExposer(config.frames, background, len(times_us), take, effects.frame_start_s)
 
     def hand_on(events: NDArray[Any]) -> None:
         events["t"] += drift.added_us(events["t"]) + clock_us

@@ -79,7 +79,6 @@ class CameraFiles:
         self, folder: Path, text: bool, camera: Camera, times_us: IntArray, exposure_s: float
     ) -> None:
         self.camera, self.n_events, self.n_frames = camera, 0, len(times_us)
-        self.images = self
         self._text_path = folder / f"{camera.name}.txt" if text else None
         self._events: list[NDArray[Any]] = []
         self._file = h5py.File(folder / f"{camera.name}.h5", "w")
@@ -100,7 +99,7 @@ class CameraFiles:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+    def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
         """Write frame k, of frames that come in their order."""
         at = k % len(self._waiting)
         self._waiting[at] = image
@@ -187,7 +186,7 @@ def save_recording(
         for camera in recording.cameras:
             sink = open_sink(camera.camera, camera.frames.times_us, camera.frames.exposure_s)
             for k, image in enumerate(camera.frames.images):
-                sink.images[k] = image
+                sink.take_frame(k, image)
             sink.add(camera.events)
             sink.close()
         return recording

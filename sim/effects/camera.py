@@ -15,7 +15,7 @@ from sim.errors import SimError
 from sim.render.renderer import Crops
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
-from sim.sensor.frames import FrameConfig, Images
+from sim.sensor.frames import FrameConfig, TakeFrame
 
 # Branches of the seed, beside those of `sim.recording` and `sim.disturb`: of all cameras, and of
 # each its pixels and its frames.
@@ -93,12 +93,28 @@ class CameraEffects:
         recorded: NDArray[Any] = events[is_within]
         return recorded
 
-    def images(self, images: Images) -> Images:
-        """Give what takes frames without effects and hands them on with theirs."""
+    def through_noise(self, take: TakeFrame) -> TakeFrame:
+        """Give what takes frames without effects and hands them on with flicker and noise."""
         effects = self.effects
         if not (effects.frame_read_noise or effects.frame_full_well_e or effects.flicker_depth):
-            return images
-        return _NoisyImages(images, self, self._rng(_FRAMES, self._index))
+            return take
+        rng = self._rng(_FRAMES, self._index)
+
+        def take_without_noise(k: int, image: NDArray[np.uint8]) -> None:
+            levels = np.arange(256) * self.brightness(k) / _FULL_SCALE
+            variance = np.full(256, effects.frame_read_noise**2)
+            if effects.frame_full_well_e:
+                variance += levels / effects.frame_full_well_e
+            deviation = np.sqrt(variance)
+            draws = rng.integers(0, 2**64, -(-image.size // (64 // _BITS)), np.uint64)
+            noisy = np.empty_like(image)
+            _add_noise(
+                image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
+                (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
+            )  # fmt: skip
+            take(k, noisy)
+
+        return take_without_noise
 
     def brightness(self, k: int) -> float:
         """Give the mean of the lamps' light during frame k, over its mean in the long run."""
@@ -228,28 +244,6 @@ _BITS = 12  # of a draw
 # The normal distribution's quantiles, of deviation 1: up to 3.7 deviations, enough for 8 bits.
 _QUANTILES = ndtri((np.arange(1 << _BITS) + 0.5) / (1 << _BITS)).astype(np.float32)
 _QUANTILES /= _QUANTILES.std()
-
-
-class _NoisyImages:
-    """Gives frames their flicker and noise, and hands them on."""
-
-    def __init__(self, images: Images, camera: CameraEffects, rng: np.random.Generator) -> None:
-        self._images, self._camera, self._rng = images, camera, rng
-
-    def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:
-        effects = self._camera.effects
-        levels = np.arange(256) * self._camera.brightness(k) / _FULL_SCALE
-        variance = np.full(256, effects.frame_read_noise**2)
-        if effects.frame_full_well_e:
-            variance += levels / effects.frame_full_well_e
-        deviation = np.sqrt(variance)
-        draws = self._rng.integers(0, 2**64, -(-image.size // (64 // _BITS)), np.uint64)
-        noisy = np.empty_like(image)
-        _add_noise(
-            image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
-            (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
-        )  # fmt: skip
-        self._images[k] = noisy
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,7 @@
 """Intensity frames, which are exposed for a while."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -36,18 +36,15 @@ class Frames:
     exposure_s: float  # [s]
 
 
-class Images(Protocol):
-    """Where frames go: an array (n, height, width), or what keeps them elsewhere."""
-
-    def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:
-        """Take frame k; the array (height, width) is the caller's, and changes afterwards."""
+TakeFrame = Callable[[int, NDArray[np.uint8]], None]
+"""Takes frame k; the array (height, width) is the caller's, and changes afterwards."""
 
 
 class FrameExposer:
     """Integrates the light of each pixel over each exposure, so that what moves is blurred.
 
-    `background` (height, width) surrounds the crops. `images` takes as many frames as
-    `frame_times_us` gives, each when its exposure closes; the first exposure begins at `start_s`.
+    `background` (height, width) surrounds the crops. `take` is given as many frames as
+    `frame_times_us` has, each when its exposure closes; the first exposure begins at `start_s`.
     """
 
     def __init__(
@@ -55,13 +52,13 @@ class FrameExposer:
         config: FrameConfig,
         background: Float32Array,
         n_frames: int,
-        images: Images,
+        take: TakeFrame,
         start_s: float = 0.0,
     ) -> None:
         self.config = config
         self._start_s = start_s
         self._n_frames = n_frames
-        self._images = images
+        self._take = take
         self._background = background
         self._image = np.empty(background.shape, np.uint8)  # of the frame that closed last
         self._sum = np.zeros(background.shape, np.float32)  # difference from the background
@@ -97,7 +94,7 @@ class FrameExposer:
 
     def _close(self) -> None:
         _develop(self._sum, self._background, self._image)
-        self._images[self._open] = self._image
+        self._take(self._open, self._image)
         self._open += 1
 
 

@@ -162,9 +162,8 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
     class CountingSink:
         def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
             self.name, self.n_frames, self.last_us = camera.name, len(times_us), -1
-            self.images = self
 
-        def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+        def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
             calls.append((self.name, "frame", k))
 
         def add(self, events: NDArray[np.void]) -> None:

@@ -31,13 +31,6 @@ SHORT = SimConfig(
 )
 
 
-class Kept(list[NDArray[np.uint8]]):
-    """Keeps copies of the frames it is given."""
-
-    def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:  # type: ignore[override]
-        self.append(image.copy())
-
-
 def camera_of(
     effects: SensorEffects, frames: FrameConfig | None = None, index: int = 0, seed: int = 0
 ) -> CameraEffects:
@@ -74,10 +67,10 @@ def test_crops_are_blurred_as_the_whole_image_is() -> None:
 
 def test_frames_have_noise_that_grows_with_the_light() -> None:
     effects = SensorEffects(frame_read_noise=0.008, frame_full_well_e=2000.0)
-    frames, camera = Kept(), camera_of(effects, FrameConfig())
-    images = camera.images(frames)
+    frames: list[NDArray[np.uint8]] = []
+    take = camera_of(effects).through_noise(lambda _, image: frames.append(image))
     for k, level in enumerate((0, 64, 128, 192)):
-        images[k] = np.full((200, 300), level, np.uint8)
+        take(k, np.full((200, 300), level, np.uint8))
     for level, frame in zip((64, 128, 192), frames[1:], strict=True):
         expected = 255.0 * np.sqrt(0.008**2 + level / 255.0 / 2000.0)
         # 60,000 pixels; rounding to whole levels adds a twelfth.
@@ -89,14 +82,14 @@ def test_frames_have_noise_that_grows_with_the_light() -> None:
 def test_lamps_light_frames_as_their_exposures_catch_them() -> None:
     effects = SensorEffects(flicker_depth=0.3)
     config = FrameConfig(rate_hz=40.0, exposure_s=0.002)
-    frames, camera = Kept(), camera_of(effects, config)
-    images = camera.images(frames)
+    camera, levels = camera_of(effects, config), list[float]()
+    take = camera.through_noise(lambda _, image: levels.append(image.mean()))
     for k in range(40):
-        images[k] = np.full((200, 300), 100, np.uint8)
+        take(k, np.full((200, 300), 100, np.uint8))
     times_s = np.arange(40) / 40.0 + np.linspace(0.0, 0.002, 101)[:, None]
     light = 1.0 + 0.3 * np.cos(2 * np.pi * 100.0 * times_s + camera.flicker_rad)
     expected = 100.0 * light.mean(axis=0)
-    np.testing.assert_allclose([frame.mean() for frame in frames], expected, atol=0.6)  # levels
+    np.testing.assert_allclose(levels, expected, atol=0.6)
 
 
 def test_phases_of_frames_differ_between_cameras() -> None:

@@ -30,7 +30,7 @@ def exposer_in_memory(
     """Frames that are filled in as they are exposed; no value stays as it is."""
     times_us = frame_times_us(config, duration_s, start_s)
     images = np.full((len(times_us), *background.shape), 77, np.uint8)
-    exposer = FrameExposer(config, background, len(times_us), images, start_s)
+    exposer = FrameExposer(config, background, len(times_us), images.__setitem__, start_s)
     return exposer, Frames(times_us, images, config.exposure_s)
 
 
