@@ -18,7 +18,7 @@ from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.rig import Known
-from sim.seeds import generator, sequence
+from sim.seeds import generator
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
@@ -52,11 +52,6 @@ class DisturbConfig:
                 f"disturbance: intrinsics_error needs 0 to {MAX_FOCAL_PERCENT:g} % and 0 px or "
                 f"more, got {percent} and {centre_px}"
             )
-
-    @property
-    def is_none(self) -> bool:
-        """Whether the recording stays as it is."""
-        return self == DisturbConfig()
 
 
 MAX_FOCAL_PERCENT = 10.0  # of which ten deviations are a focal length
@@ -264,7 +259,8 @@ _SECOND, _INTRINSICS, *_CLUTTER = range(8)
 
 def second_seed(seed: int) -> int:
     """Seed of the flight of the second object in a recording with a seed."""
-    return int(sequence(seed, _STREAM, _SECOND).generate_state(1)[0])
+    branch = np.random.SeedSequence(seed, spawn_key=(_STREAM, _SECOND))
+    return int(branch.generate_state(1)[0])
 
 
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.arrays import Float32Array, IntArray
-from sim.effects.camera import CameraEffects, check_gap
+from sim.effects.camera import CameraEffects
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
 from sim.recorded import (
@@ -31,7 +31,7 @@ from sim.render.footprint import choose_instants
 from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
-from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
+from sim.scene.flyers import DRONES, FLAP_HZ, built_in_drone
 from sim.scene.rig import (
     DISTANCE_M,
     FOCAL_PX,
@@ -102,8 +102,14 @@ class SimConfig:
     effects: SensorEffects = field(default_factory=SensorEffects)
 
     def __post_init__(self) -> None:
-        check_drone_name(self.drone)
-        check_gap(self.effects, self.frames)
+        if self.drone not in DRONES:
+            raise SimError(f"drone: expected one of {', '.join(DRONES)}, got {self.drone!r}")
+        gap_s, rate_hz = self.effects.frame_gap_s, self.frames.rate_hz
+        if gap_s * rate_hz >= 1.0:
+            raise SimError(
+                f"effects: frame_gap_s must be less than 1 / rate_hz of the frames = "
+                f"{1.0 / rate_hz:g} s, got {gap_s:g}: no event would be left"
+            )
 
     def scene(self, seed: int) -> Scene:
         """Build what is filmed with a seed."""

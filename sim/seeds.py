@@ -7,11 +7,6 @@ they are. The first number of a stream stands beside what draws from it; no two 
 import numpy as np
 
 
-def sequence(seed: int, *stream: int) -> np.random.SeedSequence:
-    """Branch a seed, 0 or positive, off: by what is drawn, then by the part, such as a camera."""
-    return np.random.SeedSequence(seed, spawn_key=stream)
-
-
 def generator(seed: int, *stream: int) -> np.random.Generator:
-    """Give the generator of a branch, at its beginning."""
-    return np.random.default_rng(sequence(seed, *stream))
+    """Branch a seed, 0 or positive, off: by what is drawn, then by the part, such as a camera."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=stream))

@@ -131,7 +131,7 @@ def record_with_progress(
         def show(share: float) -> None:
             advance(round(100 * share))
 
-        if disturb is None or disturb.is_none:
+        if disturb in (None, DisturbConfig()):
             recorded = record(config, seed, out_dir, provenance, text, show)
         else:
             recorded = record_disturbed(config, disturb, seed, out_dir, provenance, text, show)

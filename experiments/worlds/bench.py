@@ -18,7 +18,7 @@ from experiments.lab.grid import Cell, flight_seed
 from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.scored import Frames, Row, frames_of, scored_row
 from sim.disturb import merged
-from sim.effects.config import SensorEffects, sensor_preset
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
@@ -43,7 +43,7 @@ Recordings = Annotated[
 ]
 """Option of the command."""
 
-PRESET = sensor_preset("davis346")
+PRESET = SENSOR_PRESETS["davis346"]
 ANGLES_DEG = (43.14, 65.06, 95.18, 131.77)  # of the paper's data-1 to data-4
 LIGHT_STD = 0.1  # of the logarithm of a room's light within a recording
 SHADOW = 0.3  # share of the light that a hand's shadow takes

@@ -18,7 +18,7 @@ from experiments.lab.recorded import Flown, Pair, recorded_pair
 from experiments.lab.score import Truth
 from experiments.worlds.spoilt import GOOD, RIGHT, T_D_S, Errors, Kind, spoilt_pair
 from sim.disturb import DisturbConfig, second_seed
-from sim.effects.config import sensor_preset
+from sim.effects.config import SENSOR_PRESETS
 from sim.recording import SimConfig
 from sim.scene.rig import DISTANCE_M, FOCAL_PX, PRINCIPAL_POINT
 from sim.scene.trajectory import SplineConfig
@@ -129,7 +129,7 @@ def drawn(base: int, flight: int, far: float = 0.5) -> OddCell:
         frames=FrameConfig(rate_hz=0.0),
     )
     if sensor != IDEAL:
-        preset = sensor_preset(sensor)
+        preset = SENSOR_PRESETS[sensor]
         sim = replace(sim, sensor=preset.sensor, effects=preset.effects)
     skew_ppm = SKEW_STD_PPM * rng.standard_normal()
     if draw.skew_ppm is not None:

@@ -11,7 +11,6 @@ from scipy.special import ive, ndtri
 from sim.arrays import Float32Array, FloatArray
 from sim.effects.config import SensorEffects
 from sim.effects.pixels import EffectsSensor
-from sim.errors import SimError
 from sim.render.renderer import Crops
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
@@ -68,9 +67,8 @@ class CameraEffects:
         """Start the pixels, of light behind the lens, as `Sensor` starts."""
         if self.effects.is_none:
             return Sensor(self._sensor, image, time_s, rng, background)
-        effects_rng = self._rng(_PIXELS, self._index)
-        about = (self._sensor, self.effects, image, time_s, rng, background)
-        return EffectsSensor(*about, effects_rng, self.flicker_rad)
+        about = (self._sensor, self.effects, self._rng(_PIXELS, self._index), self.flicker_rad)
+        return EffectsSensor(*about, image, time_s, rng, background)
 
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
         """Deliver all events of a recording that ends at a time [s], as the readout does.
@@ -83,7 +81,10 @@ class CameraEffects:
         if effects.frame_gap_s and frames.rate_hz:
             n_frames = int(np.ceil(end_s * frames.rate_hz)) + 1
             ends_s = self.frame_start_s + np.arange(n_frames) / frames.rate_hz + frames.exposure_s
-            events = without_gaps(events, 1e6 * ends_s, 1e6 * effects.frame_gap_s)
+            gaps_us = 1e6 * ends_s
+            gap = np.searchsorted(gaps_us, events["t"], side="right") - 1
+            is_lost = (gap >= 0) & (events["t"] < gaps_us[gap] + 1e6 * effects.frame_gap_s)
+            events = events[~is_lost]
         if effects.scan_s:  # all pixels are looked at in turns: an event bears its turn's time
             events, period_us = events.copy(), 1e6 * effects.scan_s
             events["t"] = np.rint(np.ceil(events["t"] / period_us) * period_us)
@@ -126,15 +127,6 @@ class CameraEffects:
 
     def _rng(self, stream: int, index: int) -> np.random.Generator:
         return generator(self._seed, _STREAM, stream, index)
-
-
-def check_gap(effects: SensorEffects, frames: FrameConfig) -> None:
-    """Raise SimError when frames are read out for longer than they are apart."""
-    if effects.frame_gap_s * frames.rate_hz >= 1.0:
-        raise SimError(
-            f"effects: frame_gap_s must be less than 1 / rate_hz of the frames = "
-            f"{1.0 / frames.rate_hz:g} s, got {effects.frame_gap_s:g}: no event would be left"
-        )
 
 
 _REACH = 4.0  # deviations of the point spread, beyond which 6e-5 of the light would lie
@@ -205,15 +197,6 @@ def _blur(sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights,
                 if 0 <= y < height:
                     for i in range(width):
                         out[k, y, i] += weights[w] * rows[j, i]
-
-
-def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> NDArray[Any]:
-    """Lose the events, sorted by time, during gaps that begin at `starts_us` (n,), increasing."""
-    if not len(starts_us):
-        return events
-    gap = np.searchsorted(starts_us, events["t"], side="right") - 1
-    is_lost = (gap >= 0) & (events["t"] < starts_us[gap] + gap_us)
-    return events[~is_lost]
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:

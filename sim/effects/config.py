@@ -187,10 +187,3 @@ SENSOR_PRESETS = {
     ),
 }
 """Sensors by name. The old presets of noise alone are `sim.sensor.events.PRESETS`."""
-
-
-def sensor_preset(name: str) -> SensorPreset:
-    """Look a sensor up; SimError when there is none of that name."""
-    if name not in SENSOR_PRESETS:
-        raise SimError(f"sensor: expected one of {', '.join(SENSOR_PRESETS)}, got {name!r}")
-    return SENSOR_PRESETS[name]

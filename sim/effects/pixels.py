@@ -27,17 +27,16 @@ class EffectsSensor(Sensor):
         self,
         config: SensorConfig,
         effects: SensorEffects,
+        effects_rng: np.random.Generator,
+        flicker_rad: float,
         image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
         background: Float32Array | None = None,
-        effects_rng: np.random.Generator | None = None,
-        flicker_rad: float = 0.0,
     ) -> None:
         super().__init__(config, image, time_s, rng, background)
         if self._noise is None:
             self._noise = self._start_noise(time_s, rng)
-        effects_rng = effects_rng or np.random.default_rng(0)
         self._pixels = _start(self._noise, config, effects, self._up, self._image, effects_rng)
         rad = 2.0 * np.pi * effects.flicker_hz * time_s + flicker_rad
         lit = self._image * _flicker_at(rad, self._image, config, effects)

@@ -266,7 +266,6 @@ def built_in_drone(
     name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
 ) -> Drone:
     """Build one of `DRONES`, by default of 0.65 m; SimError for what makes no sense."""
-    check_drone_name(name)
     size_m = DEFAULT_SIZE_M if size_m is None else size_m
     if name in QUADROTORS:
         return QUADROTORS[name](size_m, rotor_hz)
@@ -276,9 +275,3 @@ def built_in_drone(
             f"{name}: leave out rotor_hz"
         )
     return bird(size_m, flap_hz) if name == "bird" else plane(size_m)
-
-
-def check_drone_name(name: str) -> None:
-    """Raise SimError when no drone is built in under this name."""
-    if name not in DRONES:
-        raise SimError(f"drone: expected one of {', '.join(DRONES)}, got {name!r}")

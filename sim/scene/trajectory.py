@@ -242,8 +242,6 @@ def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> Non
 
     There are `rate_hz` rows per second, at least; both ends of the trajectory are rows.
     """
-    if not rate_hz > 0:
-        raise SimError(f"rate_hz must be positive, got {rate_hz}")
     n_rows = max(MIN_CSV_ROWS, int(np.ceil(trajectory.duration_s * rate_hz)) + 1)
     times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_rows, dtype=np.float64)
     T_W_B = trajectory.poses(times_s)

@@ -171,10 +171,3 @@ def test_bad_csv(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(SimError, match=message) as error:
         trajectory_from_csv(path)
     assert str(path) in str(error.value)
-
-
-def test_files_that_cannot_be(tmp_path: Path) -> None:
-    with pytest.raises(SimError, match="cannot read the trajectory"):
-        trajectory_from_csv(tmp_path / "none.csv")
-    with pytest.raises(SimError, match="rate_hz must be positive, got 0"):
-        trajectory_to_csv(spline(0), tmp_path / "path.csv", rate_hz=0.0)

@@ -39,7 +39,7 @@ def sensor_of(
     about = (image.astype(np.float32), time_s, rng(1))
     if effects is None:
         return Sensor(config, *about)
-    return EffectsSensor(config, effects, *about, effects_rng=rng(1001), flicker_rad=FLICKER_RAD)
+    return EffectsSensor(config, effects, rng(1001), FLICKER_RAD, *about)
 
 
 def events_of(
