@@ -13,12 +13,12 @@ from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, Recording, drift_of
 from sim.recording import simulate, stream
-from sim.scene.drone import drone_from_file
+from sim.scene.flyers import DRONES
 from sim.scene.rig import Camera
-from sim.scene.trajectory import random_spline, trajectory_to_csv
+from sim.scene.trajectory import random_spline, trajectory_from_csv, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from tests.sim.scenes import QUICK, counts
+from tests.sim.scenes import QUICK, counts, make_camera, noise_image, rng
 
 pytestmark = pytest.mark.render
 
@@ -94,41 +94,37 @@ def test_events_and_frames_show_the_drone_where_it_was() -> None:
                 assert np.hypot(xs.mean() - x, ys.mean() - y) < 10.0
 
 
-def test_a_trajectory_file_gives_the_recording_of_its_trajectory(tmp_path: Path) -> None:
-    """The spline itself and its 500 Hz table: the same to 1 um, so all but the same events."""
-    trajectory = random_spline(QUICK.spline, np.random.default_rng(8))
-    paths = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
-    for path, rate_hz in zip(paths, (500.0, 1000.0), strict=True):
-        trajectory_to_csv(trajectory, path, rate_hz)
-    coarse, fine = (simulate(replace(QUICK, trajectory_file=path), 0) for path in paths)
-    np.testing.assert_allclose(coarse.truth.T_W_B, fine.truth.T_W_B, atol=1e-6)
-    np.testing.assert_allclose(fine.truth.T_W_B, trajectory.poses(fine.truth.times_s), atol=1e-6)
-    for a, b in zip(coarse.cameras, fine.cameras, strict=True):
-        assert len(a.events) == pytest.approx(len(b.events), rel=0.01)
-    assert_same(coarse, simulate(replace(QUICK, trajectory_file=paths[0]), 0))
-
-
-def test_a_file_in_place_of_the_quadrotor(tmp_path: Path) -> None:
+def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
+    for name in DRONES:
+        assert replace(QUICK, drone=name).scene(1).drone.name == name
+    assert len(replace(QUICK, drone="bird", flap_hz=0.0).scene(1).drone.parts) == 1
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "brick.stl")
-    config = replace(QUICK, drone_file=tmp_path / "brick.stl", drone_size_m=0.6)
-    assert drone_from_file(tmp_path / "brick.stl", 0.6).size_m == 0.6
-    recording = simulate(config, 1)
-    assert min(len(camera.events) for camera in recording.cameras) > 1000
+    trajectory_to_csv(random_spline(QUICK.spline, rng(8)), tmp_path / "path.csv", 500.0)
+    np.save(tmp_path / "1.npy", noise_image(make_camera()))
+    config = replace(
+        QUICK,
+        drone_file=tmp_path / "brick.stl",
+        drone_size_m=0.6,
+        trajectory_file=tmp_path / "path.csv",
+        background_files=(tmp_path / "1.npy",),
+    )
+    scene, times_s = config.scene(1), np.linspace(0.0, 1.0, 99)
+    assert (scene.drone.name, scene.drone.size_m) == ("brick", pytest.approx(0.6))
+    expected = trajectory_from_csv(tmp_path / "path.csv").poses(times_s)
+    np.testing.assert_array_equal(scene.trajectory.poses(times_s), expected)
+    for background in scene.backgrounds:
+        np.testing.assert_array_equal(background, noise_image(make_camera()))
     with pytest.raises(SimError, match="rotors spin on the built-in quadrotors only"):
-        simulate(replace(config, rotor_hz=20.0), 1)
+        replace(config, rotor_hz=20.0).scene(1)
 
 
-def test_a_textured_background(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    walls, paths = rng.uniform(0.3, 0.9, (2, 260, 346)), (tmp_path / "1.npy", tmp_path / "2.npy")
+def test_each_camera_has_its_background(tmp_path: Path) -> None:
+    walls, paths = rng().uniform(0.3, 0.9, (2, 260, 346)), (tmp_path / "1.npy", tmp_path / "2.npy")
     for path, wall in zip(paths, walls, strict=True):
         np.save(path, wall)
-    own = simulate(replace(QUICK, background_files=paths), 1)
-    for camera, wall in zip(own.cameras, walls, strict=True):
+    recording = simulate(replace(QUICK, background_files=paths), 1)
+    for camera, wall in zip(recording.cameras, walls, strict=True):
         assert (camera.frames.images == np.rint(wall.astype(np.float32) * 255)).mean() > 0.9
-    shared = simulate(replace(QUICK, background_files=paths[:1]), 1)
-    np.testing.assert_array_equal(shared.cameras[0].events, own.cameras[0].events)
-    assert (shared.cameras[1].frames.images[0] != own.cameras[1].frames.images[0]).any()
 
 
 def test_a_drone_that_is_never_in_view() -> None:
@@ -207,7 +203,7 @@ DRIFTING: dict[str, Any] = {"skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
 @pytest.mark.parametrize(
     "clock",
     [
-        *({"t_d_s": t_d_s} for t_d_s in (0.05, -0.7, 1e-6, 0.0123456)),
+        *({"t_d_s": t_d_s} for t_d_s in (-0.7, 1e-6)),
         DRIFTING,
         DRIFTING | {"t_d_s": 0.0123456},
     ],

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sim.twin.calibration
 from sim.disturb import DisturbConfig, View, clutter
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
@@ -187,7 +188,10 @@ BENCH = bench_rig(TwinConfig())
 
 
 @pytest.mark.parametrize(("ask", "message"), CASES)
-def test_what_makes_no_sense_is_refused(ask: Callable[[], Any], message: str) -> None:
+def test_what_makes_no_sense_is_refused(
+    ask: Callable[[], Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sim.twin.calibration, "MAX_TRIES", 100)
     with pytest.raises(SimError, match=message):
         ask()
 

@@ -75,9 +75,9 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("n_events", [0, 1, 5000, 65_536, 140_000])
 @pytest.mark.parametrize(
-    ("n_frames", "first_us"), [(0, -1_234_567), (1, -400_000), (16, 0), (35, 7)]
+    ("n_events", "n_frames", "first_us"),
+    [(0, 1, 0), (1, 0, -400_000), (5000, 16, -1_234_567), (65_536, 0, 0), (140_000, 35, 7)],
 )
 def test_hdf5_and_esim_text_are_read_back(
     tmp_path: Path, n_events: int, n_frames: int, first_us: int
@@ -201,8 +201,9 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("error", [SimError("no"), KeyboardInterrupt()])
-@pytest.mark.parametrize("done", [0.3, 0.8, 1.0])
+@pytest.mark.parametrize(
+    ("error", "done"), [(SimError("no"), 0.3), (SimError("no"), 1.0), (KeyboardInterrupt(), 0.8)]
+)
 def test_nothing_is_left_of_a_simulation_that_ends_early(
     tmp_path: Path, error: BaseException, done: float
 ) -> None:

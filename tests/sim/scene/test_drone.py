@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from sim.errors import SimError
-from sim.recording import simulate
 from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file
 from sim.scene.flyers import (
     DRONES,
@@ -21,7 +19,6 @@ from sim.scene.flyers import (
     quadrotor,
     two_tone,
 )
-from tests.sim.scenes import QUICK
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
@@ -256,19 +253,3 @@ def test_both_wings_rise_and_fall_together() -> None:
     assert len(gliding.parts) == 1
     # Level, as at half a beat; round-off.
     np.testing.assert_allclose(vertices_m(gliding), vertices_m(drone, 0.2), atol=1e-12)
-
-
-# --- By configuration -------------------------------------------------------------------------
-
-
-@pytest.mark.render
-def test_a_drone_by_its_name() -> None:
-    recordings = {name: simulate(replace(QUICK, drone=name), 1) for name in DRONES}
-    counts = {name: len(found.cameras[0].events) for name, found in recordings.items()}
-    assert min(counts.values()) > 1000
-    assert len(set(counts.values())) == len(DRONES)
-    gliding = simulate(replace(QUICK, drone="bird", flap_hz=0.0), 1)
-    assert len(gliding.cameras[0].events) < counts["bird"]
-    # The path is the flight's own, whatever flies it.
-    paths = [found.truth.T_W_B for found in recordings.values()]
-    np.testing.assert_array_equal(paths[0], paths[1])

@@ -77,11 +77,6 @@ def feed_crop(sensor: Sensor, time_s: float, frame: NDArray[Any], box: Any) -> N
     sensor.feed(np.array([time_s]), np.array([x0]), np.array([y0]), crop)
 
 
-def step_video(before: float, after: float, n: int = 2) -> NDArray[np.float32]:
-    """One pixel that changes once, after the first frame."""
-    return np.array([before] + (n - 1) * [after], np.float32)[:, None, None]
-
-
 def stepping(before: float, after: float, at_s: float, until_s: float, shape: Any = (1, 1)) -> Any:
     """A video of light that changes once, within a nanosecond, and its times."""
     times_s = np.array([0.0, at_s, at_s + 1e-9, until_s])
@@ -108,11 +103,14 @@ def assert_poisson(count: int, expected: float) -> None:
 
 @pytest.mark.parametrize("config", [
     *(replace(config, threshold_on=on, threshold_off=off)
-      for config in (IDEAL, SLOW) for on, off in ((0.25, 0.25), (0.1, 0.3))),
+      for config in (IDEAL, SLOW) for on, off in ((0.25, 0.25), (0.01, 0.03))),
     SensorConfig(threshold_mismatch=0.05),
 ])  # fmt: skip
 def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
-    """Each pixel by its own threshold, the same at all times."""
+    """Each pixel by its own threshold, the same at all times.
+
+    The event buffer starts with room for 65,536, which is less than fine thresholds need.
+    """
     video, times_s = smooth_video(60, 20, 30), 0.001 * np.arange(60)
     given = video.copy()
     sensor = Sensor(config, video[0], 0.0, rng(5))
@@ -134,7 +132,7 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
         # float32 light and 1 us of a change of at most 40 thresholds per second.
         assert (error < on + 1e-4).all()
         assert (error > -off - 1e-4).all()
-    assert len(events) > 10 * 20 * 30
+    assert len(events) > (65_536 if config.threshold_on < 0.25 else 10 * 20 * 30)
 
 
 @pytest.mark.parametrize("config", [IDEAL, SLOW], ids=["ideal", "general"])
@@ -142,7 +140,7 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
 def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: float) -> None:
     """I(t) = I0 + (I1 - I0) t passes (I0 + eps) exp(+- k C) - eps at a time in closed form."""
     duration_s = 0.5
-    video = step_video(before, after)
+    video = np.array([before, after], np.float32)[:, None, None]
     events = events_from_frames(video, np.array([2.0, 2.0 + duration_s]), config)
     sign = 1.0 if after > before else -1.0
     n = int(abs(np.log((after + EPS) / (before + EPS))) / 0.25)
@@ -151,17 +149,6 @@ def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: 
     assert len(events) == n
     # Rounding to microseconds, and float32 light: 6e-8 of half a second.
     np.testing.assert_allclose(events["t"], times_us, atol=0.5 + 0.05)
-
-
-@pytest.mark.parametrize("name", [*PRESETS, "slow"])
-def test_both_loops_and_many_events(name: str) -> None:
-    """The event buffer starts with room for 65,536."""
-    config = PRESETS.get(name, SLOW)
-    video = smooth_video(200, 40, 50)
-    times_s = 1e-3 * np.arange(200)
-    events = events_from_frames(video, times_s, replace(config, threshold_on=0.02), rng(3))
-    assert len(events) > 1.5 * 65_536
-    assert np.diff(events["t"]).min() >= 0
 
 
 @pytest.mark.parametrize(
@@ -184,17 +171,6 @@ def test_what_is_next_to_nothing_gives_the_ideal_events(
     np.testing.assert_array_equal(events[["x", "y", "p"]], ideal[["x", "y", "p"]])
     # One memorises the level, the other the light when it passed it; the time constant; rounding.
     assert np.abs(events["t"] - ideal["t"]).max() <= (1 if effects is None else 2)
-
-
-def test_light_exactly_on_a_threshold_is_no_division_by_zero() -> None:
-    """By rounding, light may be within a threshold when it moves and beyond it when still."""
-    generator = rng(0)
-    for seed in range(3000):
-        before, after = generator.random(2).astype(np.float32)
-        contrast = abs(np.log((float(after) + EPS) / (float(before) + EPS)))
-        config = SensorConfig(max(contrast, 0.02), max(contrast, 0.02), background_hz=3.0)
-        video = step_video(before, after, 4)
-        events_from_frames(video, np.arange(4.0), config, rng(seed))
 
 
 def test_videos_of_any_type_and_layout() -> None:
