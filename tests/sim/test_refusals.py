@@ -1,7 +1,7 @@
 """What makes no sense is refused in one line that says what was expected, and what came."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,32 +50,27 @@ POSITIVE: dict[Any, tuple[str, ...]] = {
     PendulumConfig: ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m"),
     SensorEffects: ("illuminance_lux", "cutoff_max_hz", "flicker_hz"),
 }
-OR_ZERO: dict[Any, tuple[str, ...]] = {
-    SensorConfig: tuple(sorted(vars(SensorConfig()).keys() - POSITIVE[SensorConfig])),
-    SensorEffects: tuple(vars(SensorEffects())),
-    FrameConfig: ("rate_hz",),
-    DisturbConfig: (
-        "lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s"
-    ),
-    PendulumConfig: ("damping_per_s", "start_rad", "twist_rad", "rocking_rad"),
-    RoomConfig: ("light_std", "wire_m"),
-    CalibrationConfig: ("corner_std_px",),
-}  # fmt: skip
-
-
-def fields(of: dict[Any, tuple[str, ...]]) -> list[tuple[Any, str]]:
-    return [(config, name) for config, names in of.items() for name in names]
+NUMBERS = [
+    (config, one.name)
+    for config in (SensorConfig, SensorEffects, DisturbConfig, PendulumConfig, RoomConfig)
+    for one in fields(config)
+    if isinstance(one.default, (int, float))
+]
 
 
 @pytest.mark.parametrize("value", [-0.1, NAN, INF])
-@pytest.mark.parametrize(("config", "name"), fields(OR_ZERO))
+@pytest.mark.parametrize(
+    ("config", "name"), [*NUMBERS, (FrameConfig, "rate_hz"), (CalibrationConfig, "corner_std_px")]
+)
 def test_numbers_that_must_not_be_negative(config: Any, name: str, value: float) -> None:
-    with pytest.raises(SimError, match=f"{name} must be 0 or a positive number, got {value}"):
+    with pytest.raises(SimError, match=rf"{name} .*(0|positive).* got {value}"):
         config(**{name: value})
 
 
 @pytest.mark.parametrize("value", [0.0, NAN])
-@pytest.mark.parametrize(("config", "name"), fields(POSITIVE))
+@pytest.mark.parametrize(
+    ("config", "name"), [(config, name) for config, names in POSITIVE.items() for name in names]
+)
 def test_numbers_that_must_be_positive(config: Any, name: str, value: float) -> None:
     with pytest.raises(SimError, match=f"{name} must be (0 or )?a positive number, got {value}"):
         config(**{name: value})

@@ -18,17 +18,14 @@ from sim.effects.camera import (
 )
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig
 from sim.render.renderer import Crops
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
-from tests.sim.scenes import rng, smooth_video
+from tests.sim.scenes import QUICK, rng, smooth_video
 
-SHORT = SimConfig(
-    spline=SplineConfig(0.4), frames=FrameConfig(25.0), render=RenderConfig(check=False)
-)
+SHORT = replace(QUICK, spline=SplineConfig(0.4), frames=FrameConfig(25.0))
 
 
 def camera_of(

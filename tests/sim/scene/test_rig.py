@@ -1,3 +1,5 @@
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -8,29 +10,20 @@ from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.scene.background import load_background, uniform_background
-from sim.scene.rig import Camera, kalibr_yaml, look_at_rig, two_view_rig
-from tests.sim.scenes import make_camera, noise_image
+from sim.scene.rig import kalibr_yaml, look_at_rig, two_view_rig
+from tests.sim.scenes import LENSES, make_camera, noise_image, rng
 
-RADTAN = (-0.12, 0.03, 0.002, -0.001)
-EQUIDISTANT = (0.02, -0.01, 0.005, -0.002)
-LENSES = [("none", ()), ("radtan", RADTAN), ("equidistant", EQUIDISTANT)]
-POINTS_W = np.random.default_rng(0).uniform(-2.5, 2.5, (500, 3))  # [m], before every camera
-lenses = pytest.mark.parametrize(("model", "coeffs"), LENSES, ids=[model for model, _ in LENSES])
-
-
-def one_camera(model: str, coeffs: tuple[float, ...]) -> Camera:
-    return look_at_rig((0.0,), distortion_model=model, distortion_coeffs=coeffs).cameras[0]
+POINTS_W = rng().uniform(-2.5, 2.5, (500, 3))  # [m], before every camera
+lenses = pytest.mark.parametrize("lens", LENSES)
 
 
 # --- Geometry of the rig ----------------------------------------------------------------------
 
 
 @lenses
-def test_origin_projects_to_the_principal_point_of_every_camera(
-    model: str, coeffs: tuple[float, ...]
-) -> None:
-    rig = look_at_rig((0, 30, 90, 150, 260), distortion_model=model, distortion_coeffs=coeffs)
-    for camera in rig.cameras:
+def test_origin_projects_to_the_principal_point_of_every_camera(lens: str) -> None:
+    angles_deg, coeffs = (0, 30, 90, 150, 260), LENSES[lens]
+    for camera in look_at_rig(angles_deg, distortion_model=lens, distortion_coeffs=coeffs).cameras:
         # cos(90 deg) is 6e-17, times 5 m and 200 px.
         np.testing.assert_allclose(camera.project(np.zeros(3)), (173, 130), atol=1e-12)
 
@@ -68,33 +61,33 @@ def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg: fl
 
 
 @lenses
-def test_projection_agrees_with_opencv(model: str, coeffs: tuple[float, ...]) -> None:
-    camera = one_camera(model, coeffs)
+def test_projection_agrees_with_opencv(lens: str) -> None:
+    camera = make_camera(lens)
     pose = cv2.Rodrigues(camera.T_C_W[:3, :3])[0], camera.T_C_W[:3, 3]
-    project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
-    expected, _ = project(POINTS_W[:, None], *pose, camera.K, np.array(coeffs or (0.0,) * 4))
+    project = cv2.fisheye.projectPoints if lens == "equidistant" else cv2.projectPoints
+    coeffs = np.array(LENSES[lens] or (0.0,) * 4)
+    expected, _ = project(POINTS_W[:, None], *pose, camera.K, coeffs)
     # Round-off, of OpenCV's rotation vector above all.
     np.testing.assert_allclose(camera.project(POINTS_W), expected[:, 0], atol=1e-9)
 
 
 def test_equidistant_is_smooth_on_the_axis() -> None:
-    on, beside = one_camera("equidistant", EQUIDISTANT).project(np.array([[0.0] * 3, [1e-9, 0, 0]]))
+    on, beside = make_camera("equidistant").project(np.array([[0.0] * 3, [1e-9, 0.0, 0.0]]))
     np.testing.assert_array_equal(on, (173, 130))
     np.testing.assert_allclose(beside, (173, 130), atol=1e-7)  # 1e-9 m are 4e-8 px
 
 
 @lenses
-def test_points_behind_the_camera_have_no_image(model: str, coeffs: tuple[float, ...]) -> None:
-    camera = one_camera(model, coeffs)
+def test_points_behind_the_camera_have_no_image(lens: str) -> None:
     points_W = np.array([[[0.0, -5.0, 0.0], [0.1, -6.0, 0.0]], [[0.1, 0.0, 0.2], [9e9, -4.9, 0.0]]])
-    pixels = camera.project(points_W)
+    pixels = make_camera(lens).project(points_W)
     assert pixels.shape == (2, 2, 2)
     np.testing.assert_array_equal(np.isnan(pixels[..., 0]), [[True, True], [False, True]])
 
 
 def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
     # r (1 - 0.1 r^2) turns at r = 1.83 and is 0 again at r = 3.16, the middle of the image.
-    camera = one_camera("radtan", (-0.1, 0.0, 0.0, 0.0))
+    camera = replace(make_camera("radtan"), distortion_coeffs=(-0.1, 0.0, 0.0, 0.0))
     assert np.tan(camera.field_angle_rad) == pytest.approx(1.826, rel=0.02)  # its grid's step
     assert np.isfinite(camera.project(np.array([5 * 1.7, 0.0, 0.0]))).all()
     assert np.isnan(camera.project(np.array([5 * 3.16, 0.0, 0.0]))).all()
@@ -104,7 +97,8 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
 
 
 def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked() -> None:
-    rig = look_at_rig((0, 40, 110), distortion_model="radtan", distortion_coeffs=RADTAN)
+    coeffs = LENSES["radtan"]
+    rig = look_at_rig((0, 40, 110), distortion_model="radtan", distortion_coeffs=coeffs)
     chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=True))
     assert list(chain) == ["cam0", "cam1", "cam2"]
     assert chain["cam0"] == {
@@ -112,7 +106,7 @@ def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked() -> None:
         "intrinsics": [200.0, 200.0, 173.0, 130.0],
         "intrinsics_std": [0.0, 0.0, 0.0, 0.0],
         "distortion_model": "radtan",
-        "distortion_coeffs": list(RADTAN),
+        "distortion_coeffs": list(coeffs),
         "resolution": [346, 260],
     }
     for n in (1, 2):
@@ -161,6 +155,12 @@ def wall_with(light: float) -> np.ndarray:
     return wall
 
 
+def two_arrays() -> bytes:
+    file = BytesIO()
+    np.savez(file, one=wall_with(0.5), other=wall_with(0.5))
+    return file.getvalue()
+
+
 SIZE, LIGHT = "expected 64 x 48 pixels .* resize", r"expected linear luminance in \[0, 1\]"
 UNREAD = "cannot read the background .*"
 
@@ -174,6 +174,7 @@ UNREAD = "cannot read the background .*"
         *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
         *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),
         ("empty.npy", b"", UNREAD),
+        ("two.npy", two_arrays(), UNREAD),
     ],
 )
 def test_what_is_no_wall_is_refused(
@@ -187,12 +188,3 @@ def test_what_is_no_wall_is_refused(
     with pytest.raises(SimError, match=said) as error:
         load_background(path, CAMERA)
     assert name in str(error.value)
-
-
-def test_neither_a_folder_nor_several_arrays_are_a_wall(tmp_path: Path) -> None:
-    (tmp_path / "folder.png").mkdir()
-    with (tmp_path / "two.npy").open("wb") as file:
-        np.savez(file, image=np.zeros((48, 64)))
-    for name in ("folder.png", "two.npy"):
-        with pytest.raises(SimError, match=name):
-            load_background(tmp_path / name, CAMERA)
