@@ -74,7 +74,6 @@ def _with_rotors(
     name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
 ) -> Drone:
     """Put four rotors, in the order of CORNERS, on a frame in units of the size."""
-    check_size(size_m)
     if not np.isfinite(rotor_hz):
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
     spinning = []
@@ -194,7 +193,6 @@ def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
     Its size is the wing span with the wings level [m]. They beat to 34 deg above and below level;
     at 0 Hz it glides, as one part.
     """
-    check_size(size_m)
     if not np.isfinite(flap_hz):
         raise SimError(f"the wings' rate must be a finite number [1/s], got {flap_hz}")
     hulls = ((BIRD_BODY, 0.2), (BIRD_HEAD, 0.07), (BIRD_BEAK, 0.5))
@@ -224,7 +222,6 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
 
     It carries a pod under the left wing only. Its size is the wing span [m], 1.36 times its length.
     """
-    check_size(size_m)
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
     propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))  # type: ignore[no-untyped-call]
     wheel = prism(6, radius=0.03, length=0.018)
@@ -267,6 +264,7 @@ def built_in_drone(
 ) -> Drone:
     """Build one of `DRONES`, by default of 0.65 m; SimError for what makes no sense."""
     size_m = DEFAULT_SIZE_M if size_m is None else size_m
+    check_size(size_m)
     if name in QUADROTORS:
         return QUADROTORS[name](size_m, rotor_hz)
     if rotor_hz:

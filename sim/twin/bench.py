@@ -144,14 +144,18 @@ class TwinConfig(SimConfig):
 
     def scene(self, seed: int) -> Scene:
         """Build what is filmed with a seed."""
-        rig = bench_rig(self)
+        rig, rng = bench_rig(self), generator(self.setup_seed, _WALL_STREAM)
+        if self.textured:
+            walls = tuple(wall(camera.width, camera.height, rng) for camera in rig.cameras)
+        else:
+            walls = tuple(uniform_background(camera, MEAN_LUMINANCE) for camera in rig.cameras)
         trajectory = hanging_of(self, seed).trajectory
         if not self.turning:
             trajectory = replace(
                 trajectory, attitude=lambda times_s: Rotation.identity(len(times_s))
             )
         drone = printed(SIZE_M if self.drone_size_m is None else self.drone_size_m)
-        return Scene(rig, bench_walls(self, rig), drone, trajectory)
+        return Scene(rig, walls, drone, trajectory)
 
 
 def hanging_of(config: TwinConfig, seed: int) -> Hanging:
@@ -170,14 +174,6 @@ def bench_rig(config: TwinConfig) -> Rig:
     ideal = two_view_rig_of(config).cameras
     pairs = zip(ideal, config.distances_m, strict=True)
     return Rig(tuple(_put_up(camera, distance_m, rng) for camera, distance_m in pairs))
-
-
-def bench_walls(config: TwinConfig, rig: Rig) -> tuple[Float32Array, ...]:
-    """Draw what stands behind in the view of each camera."""
-    if not config.textured:
-        return tuple(uniform_background(camera, MEAN_LUMINANCE) for camera in rig.cameras)
-    rng = generator(config.setup_seed, _WALL_STREAM)
-    return tuple(wall(camera.width, camera.height, rng) for camera in rig.cameras)
 
 
 def _put_up(camera: Camera, distance_m: float, rng: np.random.Generator) -> Camera:
