@@ -192,12 +192,8 @@ def _walk(view: View, rng: np.random.Generator) -> NDArray[Any]:
     return view.events(enters_s + since_s, x_px, y_px, ~leads)
 
 
-SKY_LUMINANCE, CLOUD_LUMINANCE = 0.4, 0.85
-"""Of the blue and of the brightest white before it, some two to one as in nature."""
-
-SPOTS_PX = 150.0
-"""The sky's largest clouds; smaller ones are fainter, as of turbulence."""
-
+SKY_LUMINANCE, CLOUD_LUMINANCE = 0.4, 0.85  # the blue and the brightest white, as in nature
+SPOTS_PX = 150.0  # of the largest clouds; smaller ones are fainter, as of turbulence
 _POWER = -11.0 / 6.0  # of amplitudes over wave numbers, in two dimensions (Kolmogorov)
 _COVER_STD = 0.7  # of the field, from clear to white: edges are some 10 px wide, billows softer
 _STEP_PX = 0.5  # from frame to frame; linear in between

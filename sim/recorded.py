@@ -19,8 +19,7 @@ from sim.scene.rig import Camera, Rig
 from sim.scene.trajectory import Trajectory
 from sim.sensor.frames import Frames
 
-MAX_SKEW_PPM = 100_000.0
-"""Largest skew, either way: a tenth, far beyond any oscillator."""
+MAX_SKEW_PPM = 100_000.0  # either way: a tenth, far beyond any oscillator
 
 Jump = tuple[float, float]
 """When a clock jumps [s, of the scene], and by how much [s]."""

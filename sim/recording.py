@@ -53,10 +53,7 @@ from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, Frames, frame_times_us
 from sim.sensor.kernels import EVENT_DTYPE
 
-TRAJECTORY_STREAM = 0
-"""Branch of the seed that draws the path; see `sim.seeds`."""
-
-_SENSOR_STREAM = 1
+_TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1  # branches of the seed
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class SimConfig:
         if self.trajectory_file is not None:
             trajectory = trajectory_from_csv(self.trajectory_file)
         else:
-            trajectory = random_spline(self.spline, generator(seed, TRAJECTORY_STREAM))
+            trajectory = random_spline(self.spline, generator(seed, _TRAJECTORY_STREAM))
         return Scene(rig, tuple(_backgrounds(self, rig)), _drone(self), trajectory)
 
 

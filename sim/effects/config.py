@@ -5,9 +5,7 @@ from dataclasses import dataclass, field, replace
 from sim.errors import SimError, check_numbers
 from sim.sensor.events import SensorConfig
 
-DIM_LUX = 0.1
-"""Light at which the shot noise of `SensorEffects` is stated, and below which it stays."""
-
+DIM_LUX = 0.1  # light at which shot noise is stated, and below which it stays
 LATER = {"later": True}
 """Of a field that is newer than results: where it does nothing, provenance is without it."""
 

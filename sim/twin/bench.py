@@ -22,12 +22,8 @@ from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
 from sim.twin.pendulum import Hanging, PendulumConfig, hanging
 
-SIZE_M = 0.03
-"""Of the paper's model, 3 x 3 x 1 cm."""
-
-HEIGHT = 1.0 / 3.0
-"""Of the size, from the feet to the eye that it hangs from."""
-
+SIZE_M = 0.03  # of the paper's model, 3 x 3 x 1 cm
+HEIGHT = 1.0 / 3.0  # of the size, from the feet to the eye that it hangs from
 ALBEDO = 0.08  # of dark grey filament
 
 # In units of the size; a disc stands for a rotor, as printed blades would break.

@@ -21,8 +21,7 @@ STEPS_HZ = 500.0  # of the solution: a swing takes a second
 _N_WAVES = 3  # that a twist or a rocking is the sum of
 _SPREAD = 0.3  # of their frequencies, as a share
 
-Waves = Callable[[FloatArray], FloatArray]
-"""An angle [rad] at times (n,) [s]."""
+Waves = Callable[[FloatArray], FloatArray]  # (n,) [s] -> an angle (n,) [rad]
 
 
 @dataclass(frozen=True)
