@@ -129,14 +129,13 @@ PROBES_PER_TURN = 100  # and along a turn of a rotor
 
 
 def choose_instants(
-    drone: Drone, camera: Camera, trajectory: Trajectory, config: SamplingConfig | None = None
+    drone: Drone, camera: Camera, trajectory: Trajectory, config: SamplingConfig
 ) -> FloatArray:
     """Choose the instants [s] to render for one camera, from 0 to the trajectory's end.
 
     Between two of them no point of the drone's outline moves by more than `max_step_px`, to about
     1 %, where it is in view; each camera has instants of its own.
     """
-    config = config or SamplingConfig()
     turns_hz = [abs(part.joint.rate_hz) for part in drone.parts if part.joint is not None]
     probe_hz = max([PROBE_HZ, *(PROBES_PER_TURN * rate for rate in turns_hz)])
     n_probes = max(2, int(np.ceil(trajectory.duration_s * probe_hz)) + 1)

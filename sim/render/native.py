@@ -15,14 +15,7 @@ from numba import njit
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.render.config import DISTORTION_MODELS, RenderConfig
 from sim.render.footprint import Views, crop_size
-from sim.render.lattice import (
-    COUNT_BIT,
-    FULL_CODE,
-    LANES,
-    average_block,
-    runs_of_tile,
-    sum_runs,
-)
+from sim.render.lattice import COUNT_BIT, FULL_CODE, LANES, average_block, runs_of_tile, sum_runs
 from sim.scene.drone import Drone, in_memory, part_faces, piece_size_m
 from sim.scene.rig import MIN_DEPTH_M, Camera
 

@@ -202,11 +202,7 @@ DRIFTING: dict[str, Any] = {"skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize(
     "clock",
-    [
-        *({"t_d_s": t_d_s} for t_d_s in (-0.7, 1e-6)),
-        DRIFTING,
-        DRIFTING | {"t_d_s": 0.0123456},
-    ],
+    [*({"t_d_s": t_d_s} for t_d_s in (-0.7, 1e-6)), DRIFTING, DRIFTING | {"t_d_s": 0.0123456}],
 )
 def test_a_clock_changes_the_stamps_of_camera_2_and_nothing_else(
     clock: dict[str, Any], preset: str

@@ -9,13 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from experiments.lab.provenance import plain
-from sim.effects.camera import (
-    CameraEffects,
-    blurred_crops,
-    blurred_image,
-    point_spread,
-    queued,
-)
+from sim.effects.camera import CameraEffects, blurred_crops, blurred_image, point_spread, queued
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.recording import SimConfig, simulate
 from sim.render.renderer import Crops

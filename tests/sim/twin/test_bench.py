@@ -116,9 +116,7 @@ def test_the_model_is_three_by_three_by_one_centimetres_of_closed_pieces() -> No
         assert piece.volume > 0.0
 
 
-def test_a_wall_is_smoother_the_further_it_is_out_of_focus(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch: pytest.MonkeyPatch) -> None:
     soft = wall(346, 260, rng(1))
     monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # next to no neighbour has a share
     sharp = wall(346, 260, rng(1))
