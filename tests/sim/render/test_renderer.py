@@ -263,36 +263,15 @@ def test_same_pixels_where_the_image_ends(a: int, b: int, lens: str) -> None:
     assert differences.sum() <= 1
 
 
-OTHER_BACKEND = """
-import sys
-import numpy as np
-from tests.sim.render.test_renderer import images_to_compare
-from sim.render.gl_context import open_context
-assert open_context(sys.argv[1]).backend == sys.argv[1]
-np.save(sys.argv[2], images_to_compare())
-"""
-
-
-def images_to_compare() -> Image:
-    camera = make_camera("radtan", HALF_VGA)
-    T_W_B = tumbling(20, 7, (0.0, -1.0, 0.0), (2.5, 2.0, 1.5))
-    times_s = np.linspace(0.0, 1.0, 20)
-    return drawn(QUADROTOR, camera, times_s, T_W_B, noise_image(camera), unchecked(a=6))
-
-
-def test_both_backends_agree_but_for_a_few_edge_pixels(tmp_path: Path) -> None:
+def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels() -> None:
+    """As near to the native renderer as this one: they are one rasteriser, compiled twice."""
     (other,) = set(BACKENDS) - {open_context().backend}
     if not ctypes.util.find_library(BACKENDS[other]):
         pytest.skip(f"this machine has no {BACKENDS[other]}")
-    path = tmp_path / "images.npy"
-    command = [sys.executable, "-c", OTHER_BACKEND, other, str(path)]
+    command = [sys.executable, "-m", "pytest", __file__, "-k", "draws_what_opengl and box"]
     environment = os.environ | {"PYOPENGL_PLATFORM": other}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    ours, theirs = images_to_compare(), np.load(path)
-    # The same rasteriser, compiled for another framebuffer: a sample in some 10^4 may differ.
-    assert np.count_nonzero(ours != theirs) <= 5
-    assert np.abs(ours - theirs).max() <= 2 / 37
+    assert "9 passed" in done.stdout, done.stdout + done.stderr
 
 
 def test_one_process_one_backend() -> None:

@@ -19,6 +19,7 @@ from sim.scene.flyers import (
     quadrotor,
     two_tone,
 )
+from sim.twin.bench import printed
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
@@ -196,7 +197,7 @@ def test_bad_file(tmp_path: Path, name: str, text: str | None, message: str) -> 
 @pytest.mark.parametrize(
     "drone",
     [*(build(rotor_hz=hz) for build in QUADROTORS.values() for hz in (0.0, 40.0)),
-     bird(), bird(flap_hz=0.0), plane()],
+     bird(), bird(flap_hz=0.0), plane(), printed()],
 )  # fmt: skip
 def test_every_piece_is_closed_and_faces_outward(drone: Drone) -> None:
     for part in drone.parts:
