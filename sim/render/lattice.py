@@ -53,28 +53,26 @@ class Lattice:
         return np.array([[self.a, -self.b], [self.b, self.a]])
 
     @cached_property
-    def pixel_columns(self) -> IntArray:
-        """Samples of the pixel at the origin by lattice columns, (n, 3): column, first row, end."""
+    def pixel_samples(self) -> IntArray:
+        """Samples (n, 2) of the pixel at the origin, column by column."""
         reach = np.arange(-self.a - self.b, self.a + self.b + 1)
-        q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
-        n = self.samples_per_pixel
+        q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
         # p = A^-1 q = A' q / n; a pixel is -1/2 <= p < 1/2, tested in integers.
-        twice_n_p = 2 * (q @ self.A)
-        inside = np.all((twice_n_p >= -n) & (twice_n_p < n), axis=-1)
-        used = np.flatnonzero(inside.any(axis=1))
-        first = inside[used].argmax(axis=1)
-        return np.stack(
-            [reach[used], reach[first], reach[first] + inside[used].sum(axis=1)], axis=-1
-        )
+        n, twice_n_p = self.samples_per_pixel, 2 * (q @ self.A)
+        return q[np.all((twice_n_p >= -n) & (twice_n_p < n), axis=-1)]
+
+    @cached_property
+    def pixel_columns(self) -> IntArray:
+        """The same by lattice columns, (n, 3): column, first row, end."""
+        u, v = self.pixel_samples.T
+        column, start, count = np.unique(u, return_index=True, return_counts=True)
+        return np.stack([column, v[start], v[start] + count], axis=-1)
 
     @cached_property
     def centre(self) -> FloatArray:
         """Mean lattice position (2,) of a pixel's samples: where its own centre must lie."""
-        columns = self.pixel_columns
-        counts = columns[:, 2] - columns[:, 1]
-        mean_u = float((columns[:, 0] * counts).sum()) / self.samples_per_pixel
-        middle_v = (columns[:, 1] + columns[:, 2] - 1) / 2
-        return np.array([mean_u, float((middle_v * counts).sum()) / self.samples_per_pixel])
+        mean: FloatArray = self.pixel_samples.mean(axis=0)
+        return mean
 
     def tile_size(self, width_px: int, height_px: int) -> tuple[int, int]:
         """Lattice (width, height) of the smallest tile that holds a crop of whole pixels."""

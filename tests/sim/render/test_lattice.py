@@ -12,9 +12,7 @@ OBJECT = np.uint32(1 << COUNT_BIT)
 
 def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
     """Lattice coordinates (n, 2) of a pixel's samples."""
-    columns = lattice.pixel_columns
-    origin = [(u, v) for u, first, stop in columns for v in range(int(first), int(stop))]
-    return np.array(origin) + lattice.A @ [x_px, y_px]
+    return lattice.pixel_samples + lattice.A @ [x_px, y_px]
 
 
 def positions_px(lattice: Lattice, q: np.ndarray) -> np.ndarray:
