@@ -17,7 +17,6 @@ from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
-from sim.scene.rig import Known
 from sim.seeds import generator
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
@@ -341,10 +340,7 @@ def record_disturbed(
     cameras = recording.cameras
     true = {one.camera.name: one.camera.K.tolist() for one in cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
-    known: Known | None = None
-    if any(disturb.intrinsics_error):
-        draws = [wrong_intrinsics(one.camera.K, disturb, seed, k) for k, one in enumerate(cameras)]
-        known = [(K, deviations_px.tolist()) for K, deviations_px in draws]
+    known = [wrong_intrinsics(one.camera.K, disturb, seed, k) for k, one in enumerate(cameras)]
     return save_recording(recording, out_dir, provenance | spoilt, text, known)
 
 

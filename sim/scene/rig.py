@@ -207,8 +207,8 @@ def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     return look_at_rig((0.0, angle_deg), time_offsets_s=(0.0, t_d_s), **placed)
 
 
-Known = list[tuple[FloatArray, list[float]]]
-"""Of each camera K (3, 3) and the deviations of fu, fv, pu and pv [px] that are stated."""
+Known = list[tuple[FloatArray, FloatArray]]
+"""Of each camera K (3, 3) and the deviations (4,) of fu, fv, pu and pv [px] that are stated."""
 
 
 def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> str:
@@ -219,11 +219,11 @@ def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> 
     """
     chain: dict[str, dict[str, object]] = {}
     for n, camera in enumerate(rig.cameras):
-        K, deviations_px = known[n] if known else (camera.K, [0.0] * 4)
+        K, deviations_px = known[n] if known else (camera.K, np.zeros(4))
         entry: dict[str, object] = {
             "camera_model": "pinhole",
             "intrinsics": [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-            "intrinsics_std": deviations_px,
+            "intrinsics_std": deviations_px.tolist(),
             "distortion_model": camera.distortion_model,
             "distortion_coeffs": [float(c) for c in camera.distortion_coeffs],
             "resolution": [camera.width, camera.height],
