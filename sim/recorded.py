@@ -38,10 +38,8 @@ class Drift:
 
         Rounded without the offset, so that recordings that differ in it alone differ by one number.
         """
-        added_us = np.zeros(len(times_us), np.int64)
-        if self.skew_ppm:
-            since_us = times_us - 1e6 * self.t_ref_s
-            added_us += np.rint(1e-6 * self.skew_ppm * since_us).astype(np.int64)
+        since_us = times_us - 1e6 * self.t_ref_s
+        added_us: IntArray = np.rint(1e-6 * self.skew_ppm * since_us).astype(np.int64)
         if self.jump is not None:
             at_s, size_s = self.jump
             added_us[times_us >= round(1e6 * at_s)] += round(1e6 * size_s)

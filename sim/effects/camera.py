@@ -40,16 +40,12 @@ class CameraEffects:
         self.effects = effects.of_camera(index)
         self.frames = frames
         self._sensor, self._seed, self._index, self._sharp = sensor, seed, index, background
-        self.background = background
+        self.background = blurred_image(background, effects.blur_px)
         """Luminance (height, width) of the empty scene behind the lens."""
-        if effects.blur_px:
-            self.background = blurred_image(background, effects.blur_px)
         self.flicker_rad = self._rng(_LAMPS, 0).uniform(0.0, 2.0 * np.pi)  # common to the cameras
-        self.frame_start_s = 0.0
+        share = effects.frame_phase_spread * self._rng(_PHASE, index).random()
+        self.frame_start_s = share / frames.rate_hz if frames.rate_hz else 0.0
         """When the first frame's exposure begins [s]."""
-        if effects.frame_phase_spread and frames.rate_hz:
-            share = effects.frame_phase_spread * self._rng(_PHASE, index).random()
-            self.frame_start_s = share / frames.rate_hz
 
     def through_lens(self, crops: Crops) -> Crops:
         """Blur crops of the sharp image."""
@@ -76,8 +72,6 @@ class CameraEffects:
         They are sorted by time [us of the scene], before and after, and within the recording.
         """
         effects, frames = self.effects, self.frames
-        if effects.is_none:
-            return events
         if effects.frame_gap_s and frames.rate_hz:
             n_frames = int(np.ceil(end_s * frames.rate_hz)) + 1
             ends_s = self.frame_start_s + np.arange(n_frames) / frames.rate_hz + frames.exposure_s
