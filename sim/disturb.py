@@ -243,9 +243,6 @@ def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array
     return images
 
 
-Draw = Callable[[View, Any, np.random.Generator], NDArray[Any]]
-"""Draws the clutter of a kind in a view, as much as the second argument says."""
-
 # Branches of the seed, beside those of `sim.recording`: each disturbance has a stream of its own,
 # so that one more leaves the others as they are.
 _STREAM = 2
@@ -263,7 +260,7 @@ def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArra
 
     The events are in order of time, on the scene's clock; each camera, by its index, has its own.
     """
-    kinds: tuple[tuple[Draw, float], ...] = (
+    kinds: tuple[tuple[Callable[..., NDArray[Any]], float], ...] = (
         (lamp, config.lamp_px),
         (hot_clusters, config.hot_clusters),
         (noise, config.noise_hz),
