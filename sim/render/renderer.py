@@ -112,7 +112,7 @@ class Renderer:
         is_checked[self._checked(np.flatnonzero(seen.visible))] = True
         chosen = np.flatnonzero(near_view)
         while len(chosen):
-            size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])
+            size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])  # at most as many
             batch, chosen = chosen[:size], chosen[size:]
             views = plan_views(self.drone, camera, seen, batch, times_s, T_W_B)
             yield self._drawn(camera, views, background, is_checked[batch])

@@ -78,7 +78,7 @@ def test_fit_minimises_its_functional() -> None:
 
 
 def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright() -> None:
-    T_W_B = flights(20, SplineConfig())
+    T_W_B = flights(10, SplineConfig())
     # Between the instants at which the radius is checked (50 ms) the path bulges by millimetres.
     assert radius_m(T_W_B[:, :3, 3]) < 4.01
     # Narrower than usual, so that some of the first draws leave it.

@@ -176,8 +176,8 @@ def test_no_motion_leaves_the_ball() -> None:
 
 
 def test_without_noise_the_calibration_is_the_truth() -> None:
-    rig, config = bench_rig(TwinConfig()), CalibrationConfig(corner_std_px=0.0)
-    draws = rng(0)
+    config = CalibrationConfig(n_views=8, n_shared=8, corner_std_px=0.0)
+    rig, draws = bench_rig(TwinConfig()), rng(0)
     cameras = [calibrated_camera(camera, config, draws) for camera in rig.cameras]
     for camera, found in zip(rig.cameras, cameras, strict=True):
         # Corners are given to OpenCV as float32: 1e-5 px.
@@ -214,7 +214,7 @@ def test_the_pose_errs_as_the_corners_do(angle_deg: float) -> None:
     for corner_std_px in (0.05, 0.4):
         config = CalibrationConfig(corner_std_px=corner_std_px)
         off = []
-        for seed in range(4):
+        for seed in range(2):
             T_2_1 = calibrated_pose(rig, cameras, config, rng(seed))
             turn = Rotation.from_matrix(T_2_1[:3, :3] @ rig.relative_pose(1, 0)[:3, :3])
             off.append(np.rad2deg(turn.magnitude()))
