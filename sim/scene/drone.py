@@ -69,7 +69,6 @@ class Drone:
     """What the cameras watch."""
 
     parts: tuple[Part, ...]
-    name: str
     size_m: float  # largest horizontal extent, with what the joints sweep
 
 
@@ -110,7 +109,7 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
         raise SimError(f"{path}: the drone's mesh has no extent along x or y")
     scale = 1.0 if size_m is None else size_m / extent_m
     centred = replace(mesh, vertices_B_m=(mesh.vertices_B_m - 0.5 * (low + high)) * scale)
-    return Drone((centred,), path.stem, extent_m * scale)
+    return Drone((centred,), extent_m * scale)
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:

@@ -67,12 +67,10 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
         meshes += _level_arm(hub * (1.0, 1.0, 0.0))
         blades.append((hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
     frame = [solid(mesh, ALBEDO_BLACK) for mesh in meshes]
-    return _with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
+    return _with_rotors(size_m, frame, blades, rotor_hz)
 
 
-def _with_rotors(
-    name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
-) -> Drone:
+def _with_rotors(size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float) -> Drone:
     """Put four rotors, in the order of CORNERS, on a frame in units of the size."""
     if not np.isfinite(rotor_hz):
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
@@ -82,13 +80,13 @@ def _with_rotors(
         blades.apply_transform(pose(hub, yaw_rad))
         joint = Joint(np.array([0.0, 0.0, 1.0]), hub * size_m, x_sign * y_sign * rotor_hz)
         spinning.append(join([solid(blades, albedo)], size_m, joint if rotor_hz else None))
-    return _whole(name, size_m, join(frame, size_m), spinning)
+    return _whole(size_m, join(frame, size_m), spinning)
 
 
-def _whole(name: str, size_m: float, body: Part, others: list[Part]) -> Drone:
+def _whole(size_m: float, body: Part, others: list[Part]) -> Drone:
     """Make a drone of its parts; of one, where none moves."""
     moves = any(part.joint for part in others)
-    return Drone((body, *others) if moves else (join([body, *others]),), name, size_m)
+    return Drone((body, *others) if moves else (join([body, *others]),), size_m)
 
 
 def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
@@ -133,7 +131,7 @@ def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
         albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
         # No two blades stand alike when at rest.
         rotors.append((hub, 0.5 + 0.9 * len(rotors), albedo))
-    return _with_rotors("two-tone", size_m, frame, rotors, rotor_hz)
+    return _with_rotors(size_m, frame, rotors, rotor_hz)
 
 
 # Hexagonal cross sections, from back to front: x, half width, bottom, top.
@@ -204,7 +202,7 @@ def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
         axis, shoulder = np.array([float(side), 0.0, 0.0]), np.array([1.0, side, 1.0]) * SHOULDER
         joint = Joint(axis, shoulder * size_m, flap_hz, FLAP_RAD)
         wings.append(join(_wing(side, albedos), size_m, joint if flap_hz else None))
-    return _whole("bird", size_m, join(body, size_m), wings)
+    return _whole(size_m, join(body, size_m), wings)
 
 
 def _wing(side: int, albedos: tuple[float, float]) -> list[Part]:
@@ -251,7 +249,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
         (panel(TAILPLANE), 0.12),
         (fin, 0.45),
     )
-    return Drone((join([solid(*piece) for piece in pieces], size_m),), "plane", size_m)
+    return Drone((join([solid(*piece) for piece in pieces], size_m),), size_m)
 
 
 QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}

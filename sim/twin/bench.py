@@ -43,7 +43,7 @@ def printed(size_m: float = SIZE_M) -> Drone:
     pieces = [_body(), moved(eye, (0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))]
     for x_sign, y_sign in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
         pieces += _arm(np.array([x_sign * _CORNER, y_sign * _CORNER, 0.0]))
-    return Drone((join([solid(piece, ALBEDO) for piece in pieces], size_m),), "printed", size_m)
+    return Drone((join([solid(piece, ALBEDO) for piece in pieces], size_m),), size_m)
 
 
 def _body() -> trimesh.Trimesh:

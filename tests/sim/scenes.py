@@ -58,7 +58,7 @@ def box_drone(size_m: tuple[float, float, float], albedo: float = 0.2) -> Drone:
     box = trimesh.creation.box(size_m)
     faces = np.array(box.faces)
     part = Part(np.array(box.vertices), faces, np.full(len(faces), albedo))
-    return Drone((part,), "box", max(size_m[:2]))
+    return Drone((part,), max(size_m[:2]))
 
 
 def painted(drone: Drone, albedo: float) -> Drone:

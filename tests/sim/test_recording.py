@@ -13,7 +13,7 @@ from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, Recording, drift_of
 from sim.recording import simulate, stream
-from sim.scene.flyers import DRONES
+from sim.scene.flyers import DRONES, built_in_drone
 from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_from_csv, trajectory_to_csv
 from sim.sensor.events import PRESETS
@@ -95,8 +95,10 @@ def test_events_and_frames_show_the_drone_where_it_was() -> None:
 
 
 def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
-    for name in DRONES:
-        assert replace(QUICK, drone=name).scene(1).drone.name == name
+    drones = [replace(QUICK, drone=name).scene(1).drone for name in DRONES]
+    light = [drone.parts[0].albedo.sum() for drone in drones]
+    assert light == [built_in_drone(name).parts[0].albedo.sum() for name in DRONES]
+    assert len(set(light)) == len(DRONES)
     assert len(replace(QUICK, drone="bird", flap_hz=0.0).scene(1).drone.parts) == 1
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "brick.stl")
     trajectory_to_csv(random_spline(QUICK.spline, rng(8)), tmp_path / "path.csv", 500.0)
@@ -109,7 +111,7 @@ def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
         background_files=(tmp_path / "1.npy",),
     )
     scene, times_s = config.scene(1), np.linspace(0.0, 1.0, 99)
-    assert (scene.drone.name, scene.drone.size_m) == ("brick", pytest.approx(0.6))
+    assert (len(scene.drone.parts[0].faces), scene.drone.size_m) == (12, pytest.approx(0.6))
     expected = trajectory_from_csv(tmp_path / "path.csv").poses(times_s)
     np.testing.assert_array_equal(scene.trajectory.poses(times_s), expected)
     for background in scene.backgrounds:
