@@ -99,7 +99,6 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
     metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. A
     mesh that is not closed shows both sides. SimError for what cannot be used.
     """
-    path = Path(path)
     if size_m is not None:
         check_size(size_m)
     mesh = join([_closed(mesh) for mesh in _load_meshes(path)])

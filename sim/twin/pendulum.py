@@ -160,7 +160,6 @@ def _attitude(wire: CubicSpline, waves: list[Waves]) -> Attitude:
     """Upright along the wire, turned about it, and rocking about the body's x and y."""
 
     def rotations(times_s: FloatArray) -> Rotation:
-        times_s = np.asarray(times_s, np.float64)
         up = -wire(times_s)
         up /= np.linalg.norm(up, axis=-1, keepdims=True)
         # The least turn that takes the world's z to the wire.
