@@ -270,7 +270,8 @@ def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels() -> None:
         pytest.skip(f"this machine has no {BACKENDS[other]}")
     which = ("--noconftest", __file__, "-k", "draws_what_opengl and box")
     command = (sys.executable, "-m", "pytest", *which)
-    environment = os.environ | {"PYOPENGL_PLATFORM": other}
+    quickly = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment = os.environ | quickly | {"PYOPENGL_PLATFORM": other}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert "9 passed" in done.stdout, done.stdout + done.stderr
 
