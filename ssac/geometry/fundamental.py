@@ -24,7 +24,7 @@ _BLOCK = 64  # pairs counted between two looks at the count: enough for vector i
 def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
     """F (rank 3) of the subset of eight pairs with the least median squared Sampson distance.
 
-    One subset per row of `uniform` (trials, 8), numbers in [0, 1), without repetition after Floyd.
+    Each row of numbers in [0, 1), `uniform` (trials, 8), draws one without repetition, after Floyd.
     """
     n = x1.shape[1]
     middle = n // 2
@@ -195,20 +195,14 @@ def lmeds_fundamental(p1_px: Array, p2_px: Array, trials: int, seed: int = 0) ->
 
 
 def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
-    """F by the eight-point algorithm, then reweighted least squares: cheaper, for few outliers.
-
-    Pairs and result as for `lmeds_fundamental`.
-    """
+    """F as `lmeds_fundamental` ends, from the eight-point algorithm: cheaper, for few outliers."""
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     return np.asarray(T2.T @ _reweighted(x1, x2, _NOT_YET) @ T1)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
-    """Median Sampson distance [px] of pairs (n, 2) from the F that fits most of them.
-
-    As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
-    """
+    """Median Sampson distance [px] of pairs (n, 2) from the F of so few iterations."""
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, np.zeros((3, 3)), iterations)
     squares, _ = sampson(F, x1, x2)
@@ -236,16 +230,20 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
 
 
 def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Array:
-    """F of the essential matrix that OpenCV's MAGSAC++ finds, with the help of the intrinsics.
+    """F of the essential matrix that MAGSAC++ finds, with the help of the intrinsics, or NaN."""
+    x1, x2 = (
+        np.asarray(cv2.undistortPoints(p_px[:, None], K, None)[:, 0], np.float64)
+        for p_px, K in ((p1_px, K1), (p2_px, K2))
+    )
+    E = magsac_essential(x1, x2, K1, K2)
+    return np.full((3, 3), np.nan) if E is None else fundamental_from_essential(E, K1, K2)
 
-    NaN when it finds none.
-    """
-    focal_px = np.sqrt(K1[0, 0] * K2[0, 0])
-    x1, x2 = (cv2.undistortPoints(p[:, None], K, None)[:, 0] for p, K in ((p1_px, K1), (p2_px, K2)))
-    E, _ = cv2.findEssentialMat(x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, 1.0 / focal_px)
-    if E is None or E.shape != (3, 3):
-        return np.full((3, 3), np.nan)
-    return fundamental_from_essential(E.astype(np.float64), K1, K2)
+
+def magsac_essential(x1: Array, x2: Array, K1: Array, K2: Array) -> Array | None:
+    """E that OpenCV's MAGSAC++ finds of rays (N, 2), with a threshold of a pixel; None if none."""
+    threshold = 1.0 / float(np.sqrt(K1[0, 0] * K2[0, 0]))
+    E, _ = cv2.findEssentialMat(x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, threshold)
+    return E.astype(np.float64) if E is not None and E.shape == (3, 3) else None
 
 
 @lru_cache(maxsize=4)
@@ -277,10 +275,7 @@ def _normalised(p1_px: Array, p2_px: Array) -> tuple[Array, Array, Array, Array]
 
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Array, x2: Array, F: Array, iterations: int = _POLISH_ITERATIONS) -> Array:
-    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, from F if not zero.
-
-    NaN of an object at rest, be it but for rounding.
-    """
+    """Iterate the weighted eight-point fit, from F if not zero; NaN of an object at rest."""
     if not (x1.any() or x2.any()):
         return np.full((3, 3), np.nan)
     if not F.any():

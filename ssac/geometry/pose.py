@@ -4,7 +4,7 @@ Small changes of a pose are given by five numbers [rad]: a rotation vector w (3)
 exp([w]x) R, and two coordinates of t's change along the rows of `tangent_basis(t)`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,44 +13,34 @@ from scipy.spatial.transform import Rotation
 from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.geometry import epipolar
-from ssac.geometry.fundamental import reweighted_fundamental
+from ssac.geometry.fundamental import magsac_essential, reweighted_fundamental
 from ssac.rules import SearchRules
 
 Pose = tuple[Array, Array]  # R (3, 3) and t (3,) of length 1
 
 
-@dataclass(frozen=True)
-class RelativePose:
-    """One of the four poses that share an essential matrix: x2 = R x1 + t."""
-
-    R: Array  # (3, 3) rotation from camera 1's frame to camera 2's
-    t: Array  # (3,) position of camera 1 in camera 2's frame, length 1
-    in_front: float  # share of the pairs that lie in front of both cameras, 0 to 1
-
-
 def pose_from_fundamental(
     F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array
-) -> RelativePose:
-    """Decompose F, and choose the pose for which most points lie in front of both cameras.
+) -> tuple[Pose, float]:
+    """Decompose F into the pose, of four, that puts most pairs in front of both cameras.
 
-    A share `in_front` far from 1 says that pairs disagree about the pose. It is that of the closest
-    true essential matrix: E's two singular values are made equal.
+    It is that of the closest true essential matrix: E's two singular values are made equal. The
+    share of pairs in front, the second result, is far from 1 where they disagree about the pose.
     """
     U, _, Vt = np.linalg.svd(epipolar.essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     rays1, rays2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
-    poses = []
+    poses: list[Pose] = []
     for turn in (W, W.T):
         R = U @ turn @ Vt
         R = R * np.sign(np.linalg.det(R))  # E's sign is free, so U's and Vt's determinants are too
-        both = (U[:, 2], -U[:, 2])
-        poses += [RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in both]
-    return max(poses, key=lambda pose: pose.in_front)
+        poses += [(R, U[:, 2]), (R, -U[:, 2])]
+    shares = [share_in_front(*pose, rays1, rays2) for pose in poses]
+    best = int(np.argmax(shares))
+    return poses[best], shares[best]
 
 
-def nearest_pose(
-    pose: RelativePose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array
-) -> RelativePose:
+def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array) -> Pose:
     """Move a pose to where its epipolar geometry is nearest to F's, in pixels at the pairs.
 
     F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
@@ -62,9 +52,9 @@ def nearest_pose(
         at = epipolar.fundamental_from_pose(K1, K2, R, t)
         return epipolar.sampson_distance(at, p1_px, p2_px)
 
+    R, t = pose
     target = epipolar.sampson_distance(F, p1_px, p2_px)
-    target = target * np.sign(target @ distances_at(pose.R, pose.t))  # F's sign is free
-    R, t = pose.R, pose.t
+    target = target * np.sign(target @ distances_at(R, t))  # F's sign is free
     for _ in range(10):
         distances = distances_at(R, t)
         jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px)
@@ -72,16 +62,13 @@ def nearest_pose(
         R, t = moved_pose(R, t, step)
         if np.linalg.norm(step) < 1e-7:  # [rad]
             break
-    return replace(pose, R=R, t=t)
+    return R, t
 
 
 def pose_jacobian(
     R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
 ) -> Array:
-    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad].
-
-    F is that of the pose, where it is known already.
-    """
+    """Differentiate the Sampson distances by a small change of the pose, of F: (N, 5) [px/rad]."""
     F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]
@@ -121,10 +108,9 @@ def tangent_basis(t: Array) -> Array:
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
-    """Depths along rays of the points where they pass closest to each other.
+    """Depths (N,) of the points where rays (N, 3), each in its camera's frame, pass closest.
 
-    Rays (N, 3) have z = 1 in each camera's own frame; depths (N,) in camera 1 and camera 2 are in
-    units of t, negative behind the camera, infinite or NaN for parallel rays.
+    They are in units of t, negative behind the camera, infinite or NaN for parallel rays.
     """
     turned = rays1 @ R.T
     normals = np.cross(turned, rays2)
@@ -154,17 +140,15 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
     F = reweighted_fundamental(p1_px, p2_px)
     if not np.isfinite(F).all():
         return []
-    of_F = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
-    poses: list[Pose] = [(of_F.R, of_F.t)]
+    poses = [pose_from_fundamental(F, K1, K2, p1_px, p2_px)[0]]
     x1, x2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
     cv2.setRNGSeed(1)  # or two calls give two results
-    threshold = 1.0 / float(np.sqrt(K1[0, 0] * K2[0, 0]))
-    E, _ = cv2.findEssentialMat(x1[:, :2], x2[:, :2], np.eye(3), cv2.USAC_MAGSAC, 0.999, threshold)
-    if E is not None and E.shape == (3, 3):
+    E = magsac_essential(x1[:, :2], x2[:, :2], K1, K2)
+    if E is not None:
         _, R, t, _ = cv2.recoverPose(E, x1[:, :2], x2[:, :2], np.eye(3))
         poses.append((np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)[:, 0]))
     poses += homography_poses(x1, x2)[1]
-    poses = [(R, t) for R, t in poses if share_in_front(R, t, x1, x2) >= rules.min_in_front]
+    poses = [pose for pose in poses if share_in_front(*pose, x1, x2) >= rules.min_in_front]
 
     def distance_px(pose: Pose) -> float:
         F = epipolar.fundamental_from_pose(K1, K2, *pose)

@@ -124,10 +124,7 @@ def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | 
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
-    """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs.
-
-    The deviation is such that 1.96 of it are Student's 95 %; infinite where all offsets fit alike.
-    """
+    """Refine t_d and the projectivity together; t_d, its deviation [s], maybe infinite, and n."""
     std_s, n_pairs = np.inf, 0
     for _ in range(8):
         along = _along(lines, views, t_d_s)
@@ -282,13 +279,13 @@ def with_pose(
     """
     K1, K2 = views.rig.cam1.K, views.rig.cam2.K
     least = views.rules.search.min_in_front
-    pose = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
-    if pose.in_front < least:
+    pose, in_front = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
+    if in_front < least:
         reason = (
-            f"only {100 * pose.in_front:.0f} % of the pairs lie in front of both cameras with the"
+            f"only {100 * in_front:.0f} % of the pairs lie in front of both cameras with the"
             f" best of the four poses; {100 * least:.0f} % are needed: calibrate again, or fly in"
             " all directions"
         )
         return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason)
-    pose = nearest_pose(pose, F, K1, K2, p1_px, p2_px)
-    return replace(estimate, R=pose.R, t=pose.t)
+    R, t = nearest_pose(pose, F, K1, K2, p1_px, p2_px)
+    return replace(estimate, R=R, t=t)
