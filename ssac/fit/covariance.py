@@ -37,9 +37,9 @@ def correlated_covariance(
     slopes_px: Array,
     curvatures: Array,
     rules: FitRules,
-    prior_deviations: Array | None = None,
-    prior_scales_px: Array | None = None,
-    common: Indices | None = None,
+    prior_deviations: Array,
+    prior_scales_px: Array,
+    common: Indices,
     lessens: bool = True,
     cautious: bool = False,
     kinds: Indices | None = None,
@@ -48,11 +48,10 @@ def correlated_covariance(
 
     Times [s] of the residuals are of one series after another, each ascending; `jacobian` (n, p)
     has their derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
-    derivatives of the loss. Of what is known of each parameter beside the data, `prior_deviations`
-    (p,) are PRIOR when None; `prior_scales_px` (p,) say what one deviation counted as in the fit: a
-    residual that is independent of the others where NaN, and everywhere when None. What the series'
-    errors have in common counts for the parameters at the places `common` (c,), the first when
-    None, and may lessen the first one's variance, too, if it `lessens`.
+    derivatives of the loss. What is known of each parameter beside the data has `prior_deviations`
+    (p,), PRIOR for nothing, of which one counted in the fit as `prior_scales_px` (p,): where NaN,
+    as an independent residual. What the series' errors have in common counts for the parameters at
+    the places `common` (c,), and may lessen the first one's variance, too, if it `lessens`.
 
     Kinds (n,), from 0 on, tell residuals whose errors are of another process apart; those of one
     series are of one kind. All are when None.
@@ -65,16 +64,14 @@ def correlated_covariance(
     scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), 1e-9)
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
     # say no more than the priors.
-    deviations = np.full(p, PRIOR) if prior_deviations is None else prior_deviations
-    scales_px = np.full(p, np.nan) if prior_scales_px is None else prior_scales_px
-    scales_px = np.where(np.isfinite(scales_px), scales_px, scale_px / np.sqrt(curvature))
-    prior = np.diag(scales_px / (np.sqrt(curvature) * deviations))
+    is_said = np.isfinite(prior_scales_px)
+    scales_px = np.where(is_said, prior_scales_px, scale_px / np.sqrt(curvature))
+    prior = np.diag(scales_px / (np.sqrt(curvature) * prior_deviations))
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
     meat, independent = _gradient_covariance(times_s, Q, left_px, rules, kinds)
     several = bool(np.any(np.diff(times_s) < 0.0))
-    common = np.zeros(1, np.intp) if common is None else common
     is_clock = len(common) == p  # and nothing else: the pose is known
     if several and is_clock:  # the gradients' sum at an instant is the process
         found = [_sum_variance(times_s, column * left_px, rules) for column in Q.T]
@@ -96,7 +93,7 @@ def correlated_covariance(
             may_lessen = lessens and k == common[0]
             factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
     # Parameters, or parts of them, that are from the data and not from what was known beforehand.
-    told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
+    told = p - float(np.sum(Q_prior[prior_deviations < PRIOR] ** 2))
     factors *= student_factor(min(independent - told, fading_times))
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 
@@ -112,11 +109,9 @@ def mean_curvature(curvatures: Array, rules: FitRules) -> float:
 
 
 def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
-    """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions.
-
-    A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
-    were curved a little: by a share of the mean curvature.
-    """
+    """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions."""
+    # A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
+    # were curved a little.
     shares, axes = np.linalg.eigh(bread)
     return np.asarray(axes / np.maximum(shares, rules.least_curvature * curvature) @ axes.T)
 

@@ -26,7 +26,7 @@ from ssac.fit.least_squares import (
     linearise,
     solve,
 )
-from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation
+from ssac.geometry.epipolar import robust_deviation
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
 class Allowance:
     """What a refinement allows for, once a fit has told what the priors weigh.
 
-    Until then a clock's priors weigh as if all residuals were independent, and intrinsics are
-    exact.
+    Until then a clock's priors weigh as independent residuals, and intrinsics are exact.
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
@@ -132,11 +131,6 @@ def moves_of(camera: Camera, points_px: Array) -> Array:
     return np.asarray(np.einsum("nij,knj->kni", np.linalg.inv(lens), shifts))
 
 
-def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
-    """F (3, 3) of the undistorted points as they came, with the intrinsics that were found."""
-    return fundamental_from_pose(*intrinsics_of(problem, parameters), parameters.R, parameters.t)
-
-
 def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Array]:
     """Give K (3, 3) of both cameras as they were found."""
     Ks, n = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()], problem.n_of_cameras
@@ -147,13 +141,13 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
     return Ks[0], Ks[1]
 
 
-def evidence(residuals: Residuals, hidden_px: Array | None = None) -> float:
+def evidence(residuals: Residuals, hidden_px: Array) -> float:
     """Give by how many deviations what is seen speaks against a rig's intrinsics.
 
     Of each combination that the views tell, it is the ratio of the value that fits best by itself
-    to its deviation, the rig's and that of the fit together. It is 0 without what `Allowance` adds,
-    and with a known pose, whose bias speaks as loud. Hidden errors are as for
-    `Residuals.hidden_covariance`.
+    to its deviation: the rig's, the fit's and that of hidden errors, as of
+    `Residuals.hidden_covariance`. It is 0 without what `Allowance` adds, and with a known pose,
+    whose bias speaks as loud.
     """
     problem, worst = residuals.problem, 0.0
     n = problem.n_of_cameras
@@ -171,9 +165,7 @@ def evidence(residuals: Residuals, hidden_px: Array | None = None) -> float:
         shift = float(alone.parameters.columns[-1])
         if np.max(np.abs(shift * axis * deviations)) > problem.rules.most_shift:
             continue  # so little is told of it that the fit runs away
-        covariance = alone.covariance()
-        if hidden_px is not None:
-            covariance = covariance + alone.hidden_covariance(hidden_px)
+        covariance = alone.covariance() + alone.hidden_covariance(hidden_px)
         worst = max(worst, abs(shift) / float(np.sqrt(1.0 + covariance[-1, -1])))
     return worst
 
@@ -237,7 +229,7 @@ def turned_by_focals(residuals: Residuals) -> Array:
             (problem.rig.cam2, problem.pairs.p2_px),
         )
     )
-    both = Column(dp1_px, dp2_px, is_of_camera=True)
+    both = Column(dp1_px, dp2_px)
     at = replace(parameters, columns=np.append(parameters.columns, 0.0))
     longer = linearise(replace(problem, columns=(*problem.columns, both)), at)
     own = problem.free[problem.free < problem.size - problem.n_of_cameras]

@@ -66,7 +66,7 @@ class Column:
 class Prior:
     """What is known of a parameter beforehand, its errors being normal."""
 
-    place: int  # T_D, or from FIRST_COLUMN on
+    place: int  # from FIRST_COLUMN on
     value: float
     deviation: float  # in the parameter's unit
     scale_px: float = np.nan  # what one deviation counts as; NaN: as an independent residual
@@ -126,25 +126,18 @@ class Residuals:
 
     @property
     def free(self) -> Array:
-        """Derivatives (n, f) by the parameters that are estimated."""
+        """Derivatives (n, f) by the free parameters."""
         return self.jacobian[:, self.problem.free]
 
     def system(self) -> tuple[Array, Array]:
         """Give the rows (n + q, f), residuals' before priors', of the next step, and its target."""
-        problem, parameters = self.problem, self.parameters
-        root_weights = np.sqrt(self.weights[0])
+        root_weights, columns = np.sqrt(self.weights[0]), self.parameters.columns
         system = root_weights[:, None] * self.free
         target = -root_weights * self.distances_px
-        if not problem.priors:
-            return system, target
-        pose = np.zeros(FIRST_COLUMN - 1)
-        values = np.concatenate([[parameters.t_d_s], pose, parameters.columns])
-        means = np.zeros(problem.size)
-        for prior in problem.priors:
-            means[prior.place] = prior.value
-        rows = self._prior_rows()
-        system = np.vstack([system, rows[:, problem.free]])
-        return system, np.append(target, rows @ (means - values))
+        priors = self.problem.priors
+        off = np.array([prior.value - columns[prior.place - FIRST_COLUMN] for prior in priors])
+        rows, counts = self._priors()
+        return np.vstack([system, rows]), np.append(target, counts * off)
 
     def covariance(self, lessens: bool = True, cautious: bool = False) -> Array:
         """Covariance (f, f) of the free parameters, as `correlated_covariance` has it."""
@@ -172,12 +165,9 @@ class Residuals:
 
         One deviation of each error changes the distances by its column of `errors_px` (n, m).
         """
-        system = self.free
-        if self.problem.priors:
-            rows = self._prior_rows()[:, self.problem.free]
-            system = np.vstack([system, rows])
-            errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
-        moved = np.linalg.lstsq(system, errors_px)[0]
+        rows, _ = self._priors()
+        errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
+        moved = np.linalg.lstsq(np.vstack([self.free, rows]), errors_px)[0]
         return np.asarray(moved @ moved.T)
 
     def fair_scales(self) -> Array:
@@ -202,15 +192,15 @@ class Residuals:
         times_s, rules = self.problem.pairs.times_s, self.problem.rules
         return covariance.repeats(times_s, self.free, slopes_px, rules)
 
-    def _prior_rows(self) -> Array:
-        """Give the priors' rows (q, p) of the system."""
-        priors = self.problem.priors
-        places = [prior.place for prior in priors]
+    def _priors(self) -> tuple[Array, Array]:
+        """Give the priors' rows (q, f) of the system, and what a unit of each counts (q,)."""
+        problem, priors = self.problem, self.problem.priors
+        places = np.array([prior.place for prior in priors], np.intp)
         deviations = np.array([prior.deviation for prior in priors])
         scales_px = np.array([prior.scale_px for prior in priors])
         independent = epipolar.robust_deviation(self.distances_px)
-        scales_px = np.where(np.isfinite(scales_px), scales_px, independent)
-        return np.asarray(np.eye(self.problem.size)[places] * (scales_px / deviations)[:, None])
+        counts = np.where(np.isfinite(scales_px), scales_px, independent) / deviations
+        return np.eye(problem.size)[places][:, problem.free] * counts[:, None], counts
 
 
 def linearise(problem: Problem, parameters: Parameters) -> Residuals:
@@ -253,15 +243,11 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
-    start: Parameters,
-    max_steps: int = 20,
-    last_step: float = 1e-6,
+    problem: Problem, start: Parameters, max_steps: int = 20, last_step: float = 1e-6
 ) -> Solution:
     """Minimise Cauchy's loss by Gauss-Newton steps; columns that the start lacks begin at zero.
 
-    A step whose norm [s, rad, and the columns' units] is below `last_step` ends the iteration; at 0
-    all steps are made.
+    A step whose norm is below `last_step` ends the iteration; at 0 all steps are made.
     """
     columns = np.zeros(len(problem.columns))
     kept = start.columns[: len(columns)]

@@ -17,7 +17,6 @@ from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import (
     Allowance,
     evidence,
-    fundamental_of,
     intrinsics_of,
     turned_by_focals,
     wanted,
@@ -30,7 +29,7 @@ from ssac.fit.least_squares import (
     WeighedPairs,
     linearise,
 )
-from ssac.geometry.epipolar import CAUCHY, sampson_derivative
+from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import homography_poses, rays_of
 from ssac.methods.algorithms import with_fit
 from ssac.methods.clocks import checked_clock, clock_model
@@ -147,7 +146,8 @@ class Refinement(ABC):
         """Put the parameters found, and the covariance of those that were free, into the start."""
         problem, parameters = residuals.problem, residuals.parameters
         fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
-        F = fundamental_of(problem, parameters)
+        Ks = intrinsics_of(problem, parameters)
+        F = fundamental_from_pose(*Ks, parameters.R, parameters.t)
         rules = self.rules.verdict
         against = evidence(residuals, hidden_px)
         if against > rules.in_doubt and self._is_flat(residuals):
@@ -162,7 +162,7 @@ class Refinement(ABC):
             t=parameters.t,
             covariance=None if problem.pose_is_known else covariance[:6, :6],
             per_focal_deg=np.degrees(turned_by_focals(residuals)),
-            Ks=intrinsics_of(problem, parameters),
+            Ks=Ks,
             against=against,
             against_skew=self.model.against(residuals, hidden_px),
             misfit=misfit,

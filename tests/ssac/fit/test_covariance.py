@@ -27,9 +27,11 @@ def left_of(jacobian, noise):
     return noise - jacobian @ found, found
 
 
-def covariance_of(times_s, jacobian, slopes, curvature=1.0, **options):
-    curvatures = np.broadcast_to(curvature, len(slopes))
-    return correlated_covariance(times_s, jacobian, slopes, curvatures, RULES, **options)
+def covariance_of(times_s, jacobian, slopes, curvature=1.0, known=None, common=(0,), **options):
+    curvatures, p = np.broadcast_to(curvature, len(slopes)), jacobian.shape[1]
+    priors = np.full(p, PRIOR) if known is None else known, np.full(p, np.nan)
+    seen = times_s, jacobian, slopes, curvatures
+    return correlated_covariance(*seen, RULES, *priors, np.array(common), **options)
 
 
 def deviations_of(*seen, **options):
@@ -65,7 +67,8 @@ def test_it_is_the_dense_estimator(are_alike):
     noise = np.linalg.cholesky(kernels[0] + 2.0 * kernels[2] + kernels[-1]) @ rng.normal(size=n)
     M = np.eye(n) - jacobian @ np.linalg.pinv(jacobian)
     slopes = M @ noise
-    A = np.array([[np.trace(k @ M @ m @ M) for m in kernels] for k in kernels])
+    seen = [M @ k @ M for k in kernels]
+    A = np.array([[np.sum(k * m) for m in seen] for k in kernels])  # traces of the products
     scales = np.sqrt(np.diag(A))
     forms = np.array([slopes @ k @ slopes for k in kernels])
     amounts = nnls(A / np.outer(scales, scales), forms / scales)[0] / scales
@@ -186,8 +189,7 @@ def test_what_series_have_in_common_counts_for_the_clock_alone(are_opposite):
     second = 0.3 * rng.normal(size=500) - first if are_opposite else first
     left, _ = left_of(jacobian, np.concatenate([first, second]))
     apart, one, both = (
-        deviations_of(TWICE_S, jacobian, left, common=np.array(places))
-        for places in ([2], [0], [0, 1])
+        deviations_of(TWICE_S, jacobian, left, common=places) for places in ([2], [0], [0, 1])
     )
     assert both[0] == one[0]
     if are_opposite:
@@ -213,7 +215,7 @@ def test_what_was_known_beforehand_takes_no_degree_of_freedom():
     left, _ = left_of(jacobian[:, :2], rng.normal(size=12))
     known = np.append([PRIOR, PRIOR], np.full(6, 1e-9))
     alone = covariance_of(times_s, jacobian[:, :2], left)
-    held = covariance_of(times_s, jacobian, left, prior_deviations=known)
+    held = covariance_of(times_s, jacobian, left, known=known)
     # Six parameters that are known to 1e-9 are none: of 12 residuals 2 are used up, not 8. Of those
     # few the correlations are hardly known, so that 4 degrees of freedom would double a deviation.
     np.testing.assert_allclose(held[:2, :2], alone, rtol=1e-3)
@@ -226,5 +228,5 @@ def test_what_the_data_say_nothing_of_keeps_its_prior(deviation):
     rng = np.random.default_rng(13)
     jacobian = waves(INSTANTS_S, 2, rng) * [1.0, 0.0]
     known = np.array([PRIOR, deviation])
-    found = deviations_of(INSTANTS_S, jacobian, rng.normal(size=500), prior_deviations=known)
+    found = deviations_of(INSTANTS_S, jacobian, rng.normal(size=500), known=known)
     assert found[1] == pytest.approx(deviation, rel=0.05)  # Student's factor of some hundred
