@@ -40,13 +40,21 @@ WITHIN = {
 
 
 @pytest.fixture(scope="module")
-def cameras():
-    return seen(SCENE, 3)
+def chain():
+    return Chain(seen(SCENE, 3), SCENE.rig, CONFIG)
 
 
 @pytest.fixture(scope="module")
-def chain(cameras):
-    return Chain(cameras, SCENE.rig, CONFIG)
+def swapped(chain):
+    rig = Rig(SCENE.rig.cam2, SCENE.rig.cam1, np.linalg.inv(SCENE.rig.T_2_1))
+    return Chain(chain.sources[::-1], rig, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def twice_as_large():
+    larger = replace(SCENE, t=2.0 * SCENE.t, path=lambda times_s: 2.0 * SCENE.path(times_s))
+    cameras = [Observation(one) for one in make_events(larger, 3, T_D_S, size_m=0.8)]
+    return Chain(cameras, larger.rig, CONFIG)
 
 
 def assert_near(estimate, t_d_s, R, t, within):
@@ -61,10 +69,6 @@ def assert_same(one, other):
         if field.compare:
             ours, theirs = getattr(one, field.name), getattr(other, field.name)
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
-
-
-def test_each_method_has_its_bounds():
-    assert list(WITHIN) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -85,21 +89,17 @@ def test_offset_and_pose_are_recovered(name, chain):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_swapping_the_cameras_negates_the_offset_and_inverts_the_pose(name, chain, cameras):
-    there = chain.estimate(name)
-    swapped = Rig(SCENE.rig.cam2, SCENE.rig.cam1, np.linalg.inv(SCENE.rig.T_2_1))
-    back = Chain(cameras[::-1], swapped, CONFIG).estimate(name)
+def test_swapping_the_cameras_negates_the_offset_and_inverts_the_pose(name, chain, swapped):
+    there, back = chain.estimate(name), swapped.estimate(name)
     # Both sample other windows of the same events: two answers, each with errors of its own.
     within = tuple(1.5 * bound for bound in WITHIN[name])
     assert_near(back, -there.t_d_s, there.R.T, -there.R.T @ there.t, within)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_world_twice_as_large_looks_the_same(name, chain):
-    larger = replace(SCENE, t=2.0 * SCENE.t, path=lambda times_s: 2.0 * SCENE.path(times_s))
-    again = [Observation(one) for one in make_events(larger, 3, T_D_S, size_m=0.8)]
+def test_a_world_twice_as_large_looks_the_same(name, chain, twice_as_large):
     # Powers of two are exact, and nothing in an image tells a length.
-    assert_same(Chain(again, larger.rig, CONFIG).estimate(name), chain.estimate(name))
+    assert_same(twice_as_large.estimate(name), chain.estimate(name))
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -138,12 +138,13 @@ def test_a_start_that_is_there_need_not_be_searched_for(name, chain):
 # --- What is left open ---
 
 MOVING = "ambiguous_offset", "too_little_motion", "no_match"
+SPARSE = {"n_samples": 150}  # where many offsets are refined
 REFUSED = [  # path, methods, statuses, words of the reason, fields of the config
     (flights.at_rest, ALL, ("no_motion",), "at rest", {}),
     (flights.at_rest, ALL, ("no_motion",), "at rest", {"search": "all"}),  # Bug: it was no match
-    (flights.straight_uniform, FREE, MOVING, "", {"interval_s": (-0.15, 0.25)}),
-    (flights.circle, FREE, MOVING, "", {}),
-    (flights.helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)}),
+    (flights.straight_uniform, FREE, MOVING, "", {"interval_s": (-0.15, 0.25)} | SPARSE),
+    (flights.circle, FREE, MOVING, "", SPARSE),
+    (flights.helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)} | SPARSE),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
     (flights.free, FREE, ("too_few_samples",), "", {"n_samples": 25}),
     # Bug: an interval of offsets near the recordings' length left few pairs, which F fits.
@@ -183,9 +184,9 @@ def test_a_straight_line_tells_the_offset_but_no_pose(method):
 
 @pytest.mark.parametrize("seen_s", [1.5, 5.0])
 def test_a_straight_line_seen_for_a_moment_tells_no_offset(seen_s):
-    scene = scene_of(flights.straight_brisk)
-    brief = [Observation(one.events[one.events["t"] < 1e6 * seen_s]) for one in seen(scene)]
-    estimate = Chain(brief, scene.rig, flights.CLEAN).estimate("ssac")
+    whole = flights.flown(flights.straight_brisk)
+    brief = [Observation(one.events[one.events["t"] < 1e6 * seen_s]) for one in whole.sources]
+    estimate = Chain(brief, whole.rig, flights.CLEAN).estimate("ssac")
     if seen_s < 2.5:  # no more half seconds than unknowns: the fit left nothing, and no deviation
         assert estimate.status == "too_little_motion"
         assert "for so short a time" in estimate.reason
@@ -218,9 +219,8 @@ def test_a_plane_leaves_f_open_and_a_calibrated_pose_perhaps_but_never_the_offse
 
 
 @pytest.mark.parametrize("method", ALL)
-@pytest.mark.parametrize("interval_s", [(-1.0, 1.0), (-3.0, 3.0)])
-def test_periodic_motion_names_the_other_offsets(method, interval_s):
-    estimate = found(flights.periodic, method, interval_s=interval_s)
+def test_periodic_motion_names_the_other_offsets(method):
+    estimate = found(flights.periodic, method, interval_s=(-1.0, 1.0))
     assert estimate.status == "ambiguous_offset"
     offsets_s = np.append(estimate.alternatives_s, estimate.t_d_s)
     assert len(offsets_s) >= 2
