@@ -119,8 +119,8 @@ def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Es
     """Time offset as the lag at which the event rates of both cameras correlate best.
 
     After Perot et al. (2020), as the paper uses it: the number of events in bins, and the lag with
-    the highest zero-normalised cross-correlation in the search interval.
-    Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
+    the highest zero-normalised cross-correlation. Deviation: the paper gives no bin length; its
+    errors of ZNCC_E are multiples of 10 ms.
     """
     bin_s = config.rules.signals.zncc_bin_s
     signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]
@@ -143,11 +143,10 @@ def _most_alike(method: str, signals: list[Signal], bin_s: float, config: Config
 def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the brightness of both cameras' frames is most alike.
 
-    After Perot et al. (2020), as the paper uses it: one number per frame, and the lag with the
-    highest zero-normalised cross-correlation in the search interval.
-    Deviation: the paper does not say which number; here it is the mean brightness, whose errors
-    are nearest to the paper's at all angles (docs/methods.md). Frames are put on one grid of 20 ms
-    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
+    After Perot et al. (2020), as `zncc_e`, of one number per frame. Deviation: the paper does not
+    say which; here it is the mean brightness, whose errors are nearest to the paper's at all angles
+    (docs/methods.md). Frames are put on one grid of 20 ms in both clocks, so that the offset found
+    is a multiple of 20 ms, as the paper states.
     """
     frame_s, signals = config.rules.signals.frame_s, []
     for seen in (one, other):

@@ -48,11 +48,7 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
-    """Minimise Cauchy's loss of the Sampson distances, from an offset and a pose.
-
-    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
-    is a `t_d_std_s` but no `covariance`.
-    """
+    """Minimise Cauchy's loss of the Sampson distances, from a start; one not "ok" comes back."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     return _OfPositions(start, views).estimate(start.R, start.t)
@@ -111,7 +107,7 @@ class _OfPositions(Refinement):
 
 
 def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:
-    """Pair two tracks, sampled at the same N instants, where both are valid.
+    """Pair two tracks, sampled at the same instants, where both are valid.
 
     Pairs are weighed by the inverse of the images' size, whose median [px] is the second result.
     """

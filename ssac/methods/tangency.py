@@ -63,10 +63,10 @@ def tangents_under(
     times_s: Array,
     near: list[list[OutlineEvents]] | None = None,
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
-    """Find and pair the tangents of both views under an offset and a pose.
+    """Find and pair the tangents of both views at even times (n,) [s] of camera 1's clock.
 
-    Times (n,) [s] are even, of camera 1's clock. The events near each view's outline may be those
-    of an earlier call with parameters like these; they are found anew when None, and given back.
+    The events near each view's outline, given back, may be of an earlier call with parameters like
+    these.
     """
     rig, rules = views.rig, views.rules.tangency
     clocks_s = times_s, views.on_clock_2(times_s, parameters.t_d_s)
@@ -98,10 +98,8 @@ def tangent_pairs(
     t_d_s: float,
     config: TangencyRules,
 ) -> WeighedPairs:
-    """Pair the tangents of each side, sampled `t_d_s` apart at n instants, where both are valid.
-
-    Their weights are the inverse of the error that the blur of both outlines lets one expect.
-    """
+    """Pair the tangents of each side, sampled `t_d_s` apart at n instants, where both are valid."""
+    # Their weights are the inverse of the error that the blur of both outlines lets one expect.
     if not config.apart:
         view1, view2 = [_midway(*view1)], [_midway(*view2)]
     parts = []
@@ -196,10 +194,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
-    """Join tangents with the pairs of one point of a rigid body, where both views show one.
-
-    Where the body contradicts what was found, deviations become as wide as the contradiction.
-    """
+    """Join tangents with the pairs of one point of a rigid body, where both views show one."""
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
         return found
@@ -216,7 +211,7 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
     if covariance is not None:
         apart = float(np.sqrt(change @ np.linalg.solve(covariance, change)))
         covariance = covariance + np.outer(change, change)
-    if apart > rules.max_apart:  # either may be right
+    if apart > rules.max_apart:  # either may be right: deviations become as wide
         wider = replace(widened(found, change[0] ** 2), covariance=covariance)
         return replace(wider, without_body="the body contradicts the tangents")
     return joined
@@ -264,7 +259,6 @@ class _OfTangents(Refinement):
         return pairs if self.body is None else self._joined(pairs, seen, parameters)
 
     def _joined(self, pairs: WeighedPairs, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
-        """Add the pairs of the body's point."""
         assert self.body is not None
         times_s = self.times_s, seen.on_clock_2(self.times_s, parameters.t_d_s)
         one, two = (of.sharp_at(at) for of, at in zip(self.body, times_s, strict=True))

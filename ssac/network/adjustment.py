@@ -38,16 +38,16 @@ class Network:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Residuals of one camera."""
+    """How the network fits what one camera saw."""
 
-    residuals_px: Array  # (n, 2) seen less projected
+    linear: Linear  # not over its deviations yet: its residuals are seen less projected [px]
     in_front: Mask  # (n,) of the camera
     used: Mask  # (n,) within the path, in front, and not switched off
 
     @property
     def rms_px(self) -> float:
         """Robust deviation of a coordinate."""
-        return deviation_px(self.residuals_px[self.used])
+        return deviation_px(self.linear.residuals[self.used])
 
 
 def border_offsets(network: Network) -> IntArray:
@@ -55,8 +55,8 @@ def border_offsets(network: Network) -> IntArray:
     return np.concatenate([[0], np.cumsum([state.size for state in network.states])]).astype(int)
 
 
-def linearised(network: Network, k: int) -> tuple[Linear, Fit]:
-    """Linearise camera k's sightings, not over their deviations yet, and compare them."""
+def fit_of(network: Network, k: int) -> Fit:
+    """Compare what camera k saw with what the network has it see."""
     state, seen, knots_s = network.states[k], network.cameras[k], network.path.knots_s
     times_s = network_times(state, seen)
     inside = (times_s >= knots_s[0]) & (times_s <= knots_s[-1]) & network.enabled[k]
@@ -68,12 +68,7 @@ def linearised(network: Network, k: int) -> tuple[Linear, Fit]:
     found = projected(state, seen, points, velocities)
     residuals = seen.points_px - found.points_px
     linear = Linear(first, weights, found.by_point, found.by_camera, found.columns, residuals)
-    return linear, Fit(residuals, found.in_front, inside & found.in_front)
-
-
-def fit_of(network: Network, k: int) -> Fit:
-    """Compare what camera k saw with what the network has it see."""
-    return linearised(network, k)[1]
+    return Fit(linear, found.in_front, inside & found.in_front)
 
 
 def known(network: Network) -> tuple[Array, Array]:
@@ -211,9 +206,8 @@ def _normal(network: Network) -> tuple[Normal, float]:
     coefficients, offsets = network.path.coefficients, border_offsets(network)
     normal, cost = Normal(len(coefficients), int(offsets[-1])), 0.0
     for k, seen in enumerate(network.cameras):
-        linear, fit = linearised(network, k)
-        share = seen.shares * network.sigmas_px[k]
-        over = fit.residuals_px / share[:, None]
+        fit, share = fit_of(network, k), seen.shares * network.sigmas_px[k]
+        over = fit.linear.residuals / share[:, None]
         squares = np.sum(over**2, axis=1) / CAUCHY**2
         lost = np.where(fit.used, 0.5 * CAUCHY**2 * np.log1p(squares), 0.0)
         # A point that is not in front of the camera costs as one far off its place.
@@ -221,7 +215,7 @@ def _normal(network: Network) -> tuple[Normal, float]:
         cost += float(np.sum(lost) + 40.0 * np.count_nonzero(behind))
         rows = np.flatnonzero(fit.used)
         scale = 1.0 / (share[rows] * np.sqrt(1.0 + squares[rows]))
-        normal.add(linear.weighed(rows, scale, int(offsets[k])))
+        normal.add(fit.linear.weighed(rows, scale, int(offsets[k])))
     first, weights = jerks(network.path.knots_s)
     values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
@@ -234,12 +228,12 @@ def _weighed(network: Network, solved: Solved) -> Network:
     """Estimate deviations and smoothness from what is left, the path's leverage made up for."""
     sigmas, repeats, rules = network.sigmas_px.copy(), list[float](), network.rules
     for k, seen in enumerate(network.cameras):
-        linear, fit = linearised(network, k)
-        rows = np.flatnonzero(fit.used)
+        fit = fit_of(network, k)
+        linear, rows = fit.linear, np.flatnonzero(fit.used)
         if len(rows) < 10:
             continue
         share = seen.shares[rows]
-        over = fit.residuals_px[rows] / share[:, None]
+        over = linear.residuals[rows] / share[:, None]
         count = repeats_of if seen.spreads_px2 is None else repeats_in_blocks
         repeats.append(count(seen.times_s[rows], over, rules))
         covariances = solved.path_covariances(linear.first[rows], linear.weights[rows], False)

@@ -64,10 +64,6 @@ class Similarity:
         """Give points (..., 3) in the target's frame."""
         return np.asarray(self.scale * points @ self.R.T + self.t)
 
-    def inverse(self) -> "Similarity":
-        """Give the similarity that takes the target's frame to the source's."""
-        return Similarity(1.0 / self.scale, self.R.T, -self.R.T @ self.t / self.scale)
-
     def after(self, first: "Similarity") -> "Similarity":
         """Give the similarity that applies `first`, and then this one."""
         return Similarity(self.scale * first.scale, self.R @ first.R, self.apply(first.t))
@@ -181,11 +177,9 @@ def _best_shifts_s(
 
 
 def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Array]:
-    """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
-
-    Umeyama's similarity needs means, variances and the covariance of what both even paths have in
-    common: correlations of the paths, and of what is seen of them, 0 where nothing is.
-    """
+    """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common."""
+    # Umeyama's similarity needs means, variances and the covariance of what both even paths have in
+    # common: correlations of the paths, and of what is seen of them, 0 where nothing is.
     rows_e, rows_t = _moments(estimate), _moments(truth)
     n_e, n_t = rows_e.shape[1], rows_t.shape[1]
     size = next_fast_len(n_e + n_t - 1, real=True)
@@ -260,13 +254,11 @@ def best_shift(
     rate_std_ppm: float = RATE_STD_PPM,
     with_scale: bool = True,
 ) -> tuple[Clock, Similarity]:
-    """Find the clock and the frame of the truth as the estimate sees them.
+    """Find the truth's clock as the estimate's times see it, and how its frame is reached.
 
     Each path may begin and end where it likes and have gaps. Shifts are tried up to a bound, to
     both sides, or all that leave enough common time; the prior of the rate is 0 where clocks run
-    alike. `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
-    the middle of the common time; the similarity takes positions to the truth's frame. SsacError if
-    the paths share too little time at any shift, or do not move enough.
+    alike. SsacError if the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate), None, -np.inf
     for shift_s in _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale):

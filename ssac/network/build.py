@@ -128,7 +128,7 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
     network, enabled = replace(network, enabled=masks), list[Mask]()
     for k, seen in enumerate(cameras):
         fit = fit_of(network, k)
-        off = np.linalg.norm(fit.residuals_px, axis=1) / (seen.shares * network.sigmas_px[k])
+        off = np.linalg.norm(fit.linear.residuals, axis=1) / (seen.shares * network.sigmas_px[k])
         enabled.append(fit.used & (off < by.gate))
     agreed = agreeing(links, built.members, network.states, by)
     network = replace(network, enabled=enabled, constraints=agreed)
@@ -163,9 +163,8 @@ def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None
             return None
         times_s = _times_on_path(network, k)
         view = _view(network, k, times_s, seen.spreads_px2)
-        known = np.isfinite(seen.spreads_px2[:, :1])
         corners = seen.images.corners_px - seen.camera.K[:2, 2] - state.centre_px
-        corners = np.where(known, corners, np.nan)
+        corners = np.where(np.isfinite(seen.spreads_px2[:, :1]), corners, np.nan)
         shares = seen.images.shares
         looks.append(Look(times_s, state.R, view.focal_px, view.points, shares, corners))
         views.append(view)
