@@ -221,12 +221,3 @@ def test_what_was_known_beforehand_takes_no_degree_of_freedom():
     np.testing.assert_allclose(held[:2, :2], alone, rtol=1e-3)
     # What the data do not tell has the deviation that was known.
     np.testing.assert_allclose(np.sqrt(np.diag(held)[2:]), 1e-9, rtol=0.3)
-
-
-@pytest.mark.parametrize("deviation", [1e-3, 7.0])
-def test_what_the_data_say_nothing_of_keeps_its_prior(deviation):
-    rng = np.random.default_rng(13)
-    jacobian = waves(INSTANTS_S, 2, rng) * [1.0, 0.0]
-    known = np.array([PRIOR, deviation])
-    found = deviations_of(INSTANTS_S, jacobian, rng.normal(size=500), known=known)
-    assert found[1] == pytest.approx(deviation, rel=0.05)  # Student's factor of some hundred

@@ -4,18 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.linalg
 
 from ssac import albl, ssac, ssac_known, zncc_f
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.events import EVENT_DTYPE
-from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods import correlations
-from ssac.methods.albl import _Linearised, _ransac
 from ssac.points import PointTrack
-from ssac.rules import AlblRules
 from ssac.track.observation import Observation, tracked
 from tests.ssac.synthetic import (
     CAMERA,
@@ -35,7 +31,7 @@ def observe(scene, seed, t_d_s):
 
 @pytest.fixture(scope="module")
 def flight():
-    scene = make_scene(seed=0, duration_s=12.0)
+    scene = make_scene(seed=0, duration_s=8.0)
     return scene, observe(scene, seed=0, t_d_s=0.05)
 
 
@@ -137,8 +133,8 @@ def test_delayed_frames_are_recovered():
 
     for t_d_s in (0.0, 0.1, -0.5):
         assert found(t_d_s) == pytest.approx(t_d_s, abs=1e-9)  # rounding
-        units = found(t_d_s + 0.005) / 0.02
-        assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
+    units = found(0.105) / 0.02
+    assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
 
 
 def test_what_is_compared_of_frames_is_their_mean():
@@ -157,49 +153,11 @@ def test_what_is_compared_of_frames_is_their_mean():
     assert np.array_equal(whole.costs, means.costs, equal_nan=True)
 
 
-def solutions(pairs, subsets):
-    """All real shifts and F of nine pairs each, by the generalised eigenvalue problem itself."""
-    A, B = pairs.constraints
-    shifts_s, Fs = [], []
-    for subset in subsets:
-        values, vectors = scipy.linalg.eig(A[subset], -B[subset])
-        real = np.isfinite(values) & (np.abs(values.imag) < 1e-9 * np.abs(values))
-        shifts_s += values.real[real].tolist()
-        Fs += [f.reshape(3, 3) for f in vectors.real[:, real].T]
-    return np.array(shifts_s), np.array(Fs)
-
-
-@pytest.mark.parametrize("outlier_share", [0.0, 0.3])
-def test_ransac_of_albl_finds_the_most_inliers_of_all_trials(outlier_share):
-    rng = np.random.default_rng(0)
-    # Coordinates of order 1, of 0.01 of a pixel, with 0.5 px of noise.
-    x1, x2 = (0.01 * p for p in track_pair(make_scene(seed=0), np.linspace(0.0, 20.0, 90)))
-    x1, x2 = x1 - [1.73, 1.3], x2 - [1.73, 1.3] + rng.normal(0.0, 0.005, x2.shape)
-    bad = rng.random(90) < outlier_share
-    x2[bad] = rng.uniform(-1.5, 1.5, (bad.sum(), 2))
-    columns = (np.ascontiguousarray(x.T) for x in (x1, x2, rng.normal(0.0, 2.0, (90, 2))))
-    pairs = _Linearised(*columns, 100.0, 0.02)
-    numbers = rng.random((200, 90))
-    found = _ransac(pairs, numbers, 0.0, AlblRules())
-    shifts_s, F = solutions(pairs, np.argsort(numbers, axis=1)[:, :9])
-    share = max(
-        np.mean(np.abs(sampson_distance(f, x1, x2 + b * pairs.v2.T)) < 0.02)  # 2 px
-        for b, f in zip(shifts_s, F, strict=True)
-        if abs(b) <= 0.04
-    )
-    assert found.inlier_share == share
-    assert share == 1.0 if outlier_share == 0.0 else 0.6 < share < 0.8
-    less = _ransac(pairs, numbers, share - 0.05, AlblRules())  # that bars all but the best
-    assert (less.shift_s, less.inlier_share) == (found.shift_s, share)
-    # 0.5 px of noise at 200 px/s in 60 pairs or more, six parameters: about 0.4 ms.
-    assert abs(found.polished(0.02)) < 0.002
-
-
 def test_albl_recovers_large_offsets_or_refuses():
     # More than the object takes to turn round, so that often no growing step leads there.
     n_right = 0
     for seed, t_d_s in ((0, -0.8), (0, 0.05), (1, 0.5), (1, -0.2), (2, -0.8), (2, 0.5)):
-        scene = make_scene(seed, duration_s=8.0)
+        scene = make_scene(seed, duration_s=6.0)
         cameras = observe(scene, seed, t_d_s)
         estimate = albl(*cameras, scene.unknown_rig, CLEAN)
         if estimate.status == "ok":

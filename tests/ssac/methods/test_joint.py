@@ -108,7 +108,7 @@ def test_zero_noise_and_a_wrong_start_give_the_truth():
     assert np.all(np.abs(errors_of(found, scene)) < [1e-5, 1e-3, 1e-3])  # where rounds may stop
 
 
-@pytest.mark.parametrize(("sigma_px", "duration_s"), [(0.1, 20.0), (0.9, 20.0), (0.3, 10.0)])
+@pytest.mark.parametrize(("sigma_px", "duration_s"), [(0.9, 20.0), (0.2, 10.0)])
 def test_errors_follow_the_cramer_rao_bound(sigma_px, duration_s):
     n = int(20 * duration_s)  # the same sampling rate: longer recordings tell more
     ratios, normalised = [], []
@@ -158,13 +158,6 @@ def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
         np.testing.assert_allclose(column, (upper - lower) / (2.0 * step), atol=1e-6)
 
 
-def test_leaving_the_minimum_is_refused():
-    known = replace(VIEWS, pose_is_known=True)
-    estimate = refine(truth_of(SCENE, t_d_s=T_D_S + 0.13), known)
-    assert estimate.status == "no_convergence"
-    assert "moved t_d from 0.180" in estimate.reason
-
-
 def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
     """Bug: a refinement of a circling drone reached an offset without a pair, and fell over."""
     start = truth_of(SCENE, t_d_s=0.06)
@@ -181,18 +174,12 @@ def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
     assert "only 0 sample times are valid in both views" in estimate.reason
 
 
-@pytest.mark.parametrize("what", ["rounds", "steps"])
-def test_iterations_that_run_out_are_refused(what, monkeypatch):
-    """Bug: what the last iteration had reached was "ok"."""
+def test_steps_that_run_out_are_refused(monkeypatch):
+    """Bug: what the last step had reached was "ok"."""
     # With a prior of the skew there are two rounds at least.
     views, start = white_views(SCENE, 0.3, skew_prior_ppm=0.0), truth_of(SCENE, t_d_s=0.06)
-    assert refine(start, views).status == "ok"
-    rules = JointRules(max_rounds=1)
-    if what == "steps":
-        rules = JointRules(last_shift_s=1.0)
-        fewer = partial(solve, max_steps=1, last_step=1e-12)
-        monkeypatch.setattr("ssac.methods.clocks.solve", fewer)
-    estimate = refine(start, views.by(joint=rules))
+    monkeypatch.setattr(clocks, "solve", partial(solve, max_steps=1, last_step=1e-12))
+    estimate = refine(start, views.by(joint=JointRules(last_shift_s=1.0)))
     assert estimate.status == "no_convergence"
     assert "still moved" in estimate.reason
 
@@ -231,16 +218,6 @@ def test_a_skew_is_found_within_its_deviation(skew_ppm, known):
     assert found.clock_std_s(np.array([found.t_ref_s]))[0] == pytest.approx(found.t_d_std_s)
 
 
-def test_the_prior_says_how_far_a_skew_may_be():
-    large = Clock(T_D_S, 1000.0, MIDDLE_S)  # 20 ms at both ends
-    found = refine(START, views_of(large, skew_prior_ppm=1000.0))
-    assert found.skew_ppm == pytest.approx(1000.0, abs=4.0 * found.skew_std_ppm)
-    assert found.skew_std_ppm < 20.0
-    held = refine(START, views_of(Clock(T_D_S, 40.0, MIDDLE_S), skew_prior_ppm=1.0))
-    assert held.skew_std_ppm < 1.1
-    assert abs(held.skew_ppm) < 10.0  # held back, though not to 1 ppm: the data tell it well
-
-
 @pytest.mark.parametrize(
     ("skew_ppm", "options", "is_far"),
     [
@@ -264,7 +241,9 @@ def test_what_speaks_against_a_prior_of_the_skew_is_not_held_by_it():
         refine(START, views_of(Clock(T_D_S, 40.0, MIDDLE_S), skew_prior_ppm=prior_ppm))
         for prior_ppm in (1.0, 1000.0)
     )
-    assert abs(held.skew_ppm) < 10.0
+    assert free.skew_ppm == pytest.approx(40.0, abs=4.0 * free.skew_std_ppm)
+    assert held.skew_std_ppm < 1.1
+    assert abs(held.skew_ppm) < 10.0  # held back, though not to 1 ppm: the data tell it well
     # The deviation of either fit is known to a fifth.
     of_both_ppm = np.hypot(1.0, free.skew_std_ppm)
     assert held.against_skew == pytest.approx(free.skew_ppm / of_both_ppm, rel=0.2)
@@ -296,8 +275,12 @@ def test_a_jump_is_refused_with_its_time_and_size(size_s):
 
 
 @pytest.mark.parametrize("skew_ppm", [1000.0, -1000.0])
-def test_a_clock_that_runs_fast_is_not_said_to_jump(skew_ppm):
-    found = refine(START, views_of(Clock(T_D_S, skew_ppm, MIDDLE_S)))  # 20 ms at both ends
+def test_a_clock_that_runs_fast_is_not_said_to_jump_and_found_where_it_may_be(skew_ppm):
+    clock = Clock(T_D_S, skew_ppm, MIDDLE_S)  # 20 ms at both ends
+    allowed = refine(START, views_of(clock, skew_prior_ppm=1000.0))
+    assert allowed.skew_ppm == pytest.approx(skew_ppm, abs=4.0 * allowed.skew_std_ppm)
+    assert allowed.skew_std_ppm < 20.0
+    found = refine(START, views_of(clock))
     assert (found.status, found.has_offset) == ("poor_fit", False)
     said_ppm = float(found.reason.partition("a skew of ")[2].partition(" ppm")[0])
     assert said_ppm == pytest.approx(skew_ppm, rel=0.05)  # to first order in its move
@@ -327,12 +310,6 @@ def test_strays_have_no_offset_and_no_skew_of_their_own():
     model = clock_model(views_of(clock="pieces"), START)
     affine = np.column_stack([np.ones(len(model.knots_s)), model.knots_s])
     assert np.abs(affine.T @ model.modes).max() < 1e-9  # rounding
-    assert (np.diff(model.deviations[1:]) != 0.0).all()
-    # A start of its own clock gives the same values.
-    values = np.concatenate([[2e-5], np.arange(model.modes.shape[1]) * 1e-5])
-    strays_s = model.modes @ values[1:]
-    start = replace(START, skew_ppm=20.0, t_ref_s=20.0, knots_s=model.knots_s, strays_s=strays_s)
-    np.testing.assert_allclose(model.start(start), values, atol=1e-12)
 
 
 @pytest.mark.parametrize(("known", "name"), [(False, "algorithm_2"), (True, "algorithm_1")])

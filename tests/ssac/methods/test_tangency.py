@@ -12,7 +12,7 @@ from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.pose import moved_pose, pencils, pose_step
+from ssac.geometry.pose import moved_pose, pencils
 from ssac.methods import rigid_body
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
@@ -44,21 +44,27 @@ START = box.off_the_truth(SCENE)
 TRUTH = replace(START, t_d_s=T_D_S, R=SCENE.R, t=box.unit(SCENE.t))
 
 
+@cache
+def tangents_alone() -> Estimate:
+    found = refine_tangents(START, VIEWS)
+    assert found.status == "ok"
+    return found
+
+
 def without_frames(events, phase_us):
     """Lose the events of readouts of 10 ms, 25 a second."""
     return events[(events["t"] - phase_us) % 40_000 >= 10_000]
 
 
-@pytest.mark.parametrize("phases_us", [(3_000, 33_000), (10_000, 0)])
-def test_frames_that_blind_the_cameras_do_not_shift_the_offset(phases_us):
+def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     scene = synthetic.make_scene(0, duration_s=8.0)
     streams = box.box_events(scene, 0, 0.4)
-    blinded = [without_frames(*one) for one in zip(streams, phases_us, strict=True)]
+    blinded = [without_frames(*one) for one in zip(streams, (3_000, 33_000), strict=True)]
     views = two_views(*box.observations(*blinded), scene.rig, CLEAN)
     assert all(len(spans_us) > 150 for spans_us in views.alone.blind_us)  # of 200
     estimate = refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
-    # As of a lopsided box; with tangents found as ever, 2.0 and 0.5 ms.
+    # As of a lopsided box; with tangents found as ever, 2.0 ms.
     assert np.all(np.array(box.errors(estimate, scene)) < [0.3, 0.6, 0.3])
     assert for_blind(VIEWS) is VIEWS  # where no camera was blind
 
@@ -84,46 +90,38 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
         assert estimate.status == "ok"
         errors_of.append(np.array(box.errors(estimate, SCENE)))
     # The same events, so the same tangents, but for rounding of sums.
-    alone = box.errors(refine_tangents(START, VIEWS), SCENE)
+    alone = box.errors(tangents_alone(), SCENE)
     assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
     assert errors_of[0] != pytest.approx(errors_of[1], rel=0.1)
 
 
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
-    means, outline = [], []
-    for seed in range(2):
-        scene = synthetic.make_scene(seed, duration_s=8.0)
-        cameras = box.observations(*box.box_events(scene, seed, size_m, lopsided=3.0))
-        # Whether means so biased are a start at all is for `joint` to say.
-        views = two_views(*cameras, scene.rig, CLEAN)
-        estimate = refine_tangents(box.off_the_truth(scene), views)
-        assert estimate.status == "ok"
-        outline.append(box.errors(estimate, scene))
-        known = joint_known(*cameras, scene.rig, CLEAN)
-        means.append(1e3 * abs(known.t_d_s - T_D_S))
+    scene = synthetic.make_scene(1, duration_s=8.0)
+    cameras = box.observations(*box.box_events(scene, 1, size_m, lopsided=3.0))
+    # Whether means so biased are a start at all is for `joint` to say.
+    found = refine_tangents(box.off_the_truth(scene), two_views(*cameras, scene.rig, CLEAN))
+    assert found.status == "ok"
     # A few pixels from 8 s of events, and eight corners alone: three times the tables' marks.
-    assert np.all(np.mean(outline, axis=0) < [0.3, 0.6, 0.3])
+    assert np.all(np.array(box.errors(found, scene)) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
-        assert np.mean(means) > 3.0 * np.mean(outline, axis=0)[0]
+        mean_ms = 1e3 * abs(joint_known(*cameras, scene.rig, CLEAN).t_d_s - T_D_S)
+        assert mean_ms > 3.0 * box.errors(found, scene)[0]
 
 
 def test_neither_the_start_nor_sparse_samples_matter():
-    one, other = (refine_tangents(start, VIEWS) for start in (TRUTH, START))
+    """Not even a start that puts the object behind the cameras."""
+    one, other = refine_tangents(TRUTH, VIEWS), tangents_alone()
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
     assert synthetic.rotation_angle_deg(one.R, other.R) < 0.03
     assert synthetic.angle_deg(one.t, other.t) < 0.03
+    behind = refine_tangents(replace(START, t=-START.t), VIEWS)
+    assert behind.t @ other.t > 0.99999  # both converge, to a tenth of a degree at least
     # Sparser than the smoothing.
     sparse = refine_tangents(START, VIEWS.by(tangency=TangencyConfig(step_s=0.08)))
     assert sparse.status == "ok"
     # A quarter of the samples, and eight corners alone: four times the tables' goal.
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
-
-
-def test_a_start_that_puts_the_object_behind_the_cameras_leads_before_them():
-    behind = refine_tangents(replace(START, t=-START.t), VIEWS)
-    ahead = refine_tangents(START, VIEWS)
-    assert behind.t @ ahead.t > 0.99999  # both converge, to a tenth of a degree at least
 
 
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
@@ -225,7 +223,7 @@ def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
 
 def test_deviations_are_neither_too_small_nor_too_large():
     offsets, poses = [], []
-    for seed in range(4):
+    for seed in range(3):
         scene = synthetic.make_scene(seed, duration_s=DURATION_S)
         chain = Chain(seen(scene, seed), scene.rig, NEAR)
         for method in ("joint", "joint-known", "tangency", "tangency-known"):
@@ -234,10 +232,10 @@ def test_deviations_are_neither_too_small_nor_too_large():
             if estimate.covariance is not None:
                 poses.append(synthetic.rotation_angle_deg(estimate.R, scene.R) / estimate.r_std_deg)
                 poses.append(synthetic.angle_deg(estimate.t, scene.t) / estimate.t_std_deg)
-    # The root mean square of 16 is known to 18 %. It is 1.1 of both: deviations of half the size,
+    # The root mean square of 12 is known to 20 %. It is 0.9 of both: deviations of half the size,
     # or of twice, are out of these bounds.
     for normalised in (offsets, poses):
-        assert len(normalised) == 16
+        assert len(normalised) == 12
         assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.6
 
 
@@ -343,8 +341,8 @@ def test_exchanged_cameras_show_the_same_point():
         assert np.sqrt(np.mean((places[0] - places[1]) ** 2)) < 0.1
 
 
-@pytest.mark.parametrize("shift_us", [5_000, 123_457])
-def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch, shift_us):
+def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch):
+    shift_us = 123_457
     later = [shaped()[0], shaped()[1].delayed(shift_us)]
     before = body()
     monkeypatch.setattr("tests.ssac.methods.test_tangency.shaped", lambda: later)
@@ -370,22 +368,6 @@ def test_it_says_why_there_is_no_body(monkeypatch):
     ]
     monkeypatch.setattr("tests.ssac.methods.test_tangency.shaped", lambda: torn)
     assert "no one rigid body" in followed(found)
-
-
-def test_a_step_of_the_pose_is_undone():
-    R, t = off_the_truth().R, off_the_truth().t
-    step = pose_step(FLIGHT.R, T, R, t)
-    moved = moved_pose(FLIGHT.R, T, step)
-    # A step of t is along its tangent: the third order of 0.004 rad is left.
-    assert moved[0] == pytest.approx(R, abs=1e-12)
-    assert moved[1] == pytest.approx(t, abs=1e-7)
-
-
-@cache
-def tangents_alone() -> Estimate:
-    found = refine_tangents(START, VIEWS)
-    assert found.status == "ok"
-    return found
 
 
 def with_point(monkeypatch, late_s: float, joins: bool = True) -> Estimate:
