@@ -211,11 +211,9 @@ def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
 
 
 def second_best(p1_px: Array, p2_px: Array) -> float:
-    """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
+    """How many times worse than the best F another one, as unlike it as can be, fits the pairs.
 
-    The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
-    leave F open, as those of a planar path do; 1 when they allow none, as those of an object at
-    rest.
+    Near 1 they leave F open, as those of a planar path do; 1 when they allow none, as at rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _NOT_YET)

@@ -43,9 +43,8 @@ def pose_from_fundamental(
 def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array) -> Pose:
     """Move a pose to where its epipolar geometry is nearest to F's, in pixels at the pairs.
 
-    F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
-    from even over its entries, and `pose_from_fundamental` weighs them all alike; here the mean
-    squared difference between the Sampson distances under the pose and under F is made least.
+    Noise in F is far from even over its entries, which `pose_from_fundamental` weighs all alike;
+    here the mean squared difference of Sampson distances under the pose and under F is made least.
     """
 
     def distances_at(R: Array, t: Array) -> Array:

@@ -241,7 +241,6 @@ def algorithm_2(views: TwoViews) -> Estimate:
 
 
 def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Array:
-    """Fit F as the config asks for."""
     if views.config.robust == "magsac":
         return magsac_fundamental(p1_px, p2_px, views.rig.cam1.K, views.rig.cam2.K)
     return lmeds_fundamental(p1_px, p2_px, trials, views.config.seed)

@@ -119,8 +119,8 @@ def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Es
     """Time offset as the lag at which the event rates of both cameras correlate best.
 
     After Perot et al. (2020), as the paper uses it: the number of events in bins, and the lag with
-    the highest zero-normalised cross-correlation. Deviation: the paper gives no bin length; its
-    errors of ZNCC_E are multiples of 10 ms.
+    the highest zero-normalised cross-correlation in the search interval.
+    Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
     """
     bin_s = config.rules.signals.zncc_bin_s
     signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]

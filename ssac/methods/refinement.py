@@ -100,11 +100,10 @@ class Refinement(ABC):
             problem = self.allowance.added(model.problem(plain, before, seen))
             found = model.solve(problem, before, **self.solving)
             last, parameters = Round(number, seen, before, problem, found), found.parameters
-            if abs(parameters.t_d_s - start.t_d_s) > self.rules.joint.max_shift_s:
-                furthest_ms = 1e3 * self.rules.joint.max_shift_s
-                return self.no_convergence(
-                    f"{self.moved(parameters)}, further than {furthest_ms:.0f} ms"
-                )
+            most_s = self.rules.joint.max_shift_s
+            if abs(parameters.t_d_s - start.t_d_s) > most_s:
+                why = f"{self.moved(parameters)}, further than {1e3 * most_s:.0f} ms"
+                return self.no_convergence(why)
             settles = self.allowance.is_made and self.settles(last)
             if settles:
                 break

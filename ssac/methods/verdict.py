@@ -64,9 +64,8 @@ _OF_SEARCH = ("n_samples", "d_avg_px", "candidates_s", "costs")
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
     """Give the reason why there is no reliable offset, without the pose and clock that were found.
 
-    F and the cost curve stay, for drawings of what was compared. With status "ambiguous_offset" the
-    estimate keeps its offset when the cost curve has other single valleys, whose offsets go to
-    `alternatives_s`.
+    F and the cost curve stay, for drawings of what was compared. An ambiguous offset stays when the
+    cost curve has other single valleys, whose offsets go to `alternatives_s`.
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
@@ -87,8 +86,7 @@ def doubt(
 
     Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
     few others not far beyond. A second moving thing pulls the positions away for a while: then
-    those others lie far out, or all do. Distances (n,) are weighed; what speaks against the
-    intrinsics, and how they misfit, is said by `ssac.fit.intrinsics`.
+    those others lie far out, or all do. Of intrinsics `ssac.fit.intrinsics` says what it is given.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -151,8 +149,7 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     is_open = ~(variances <= np.deg2rad(rules.max_pose_std_deg) ** 2)
     if not is_open.any():
         return estimate
-    unobservable = np.zeros((int(is_open.sum()), 6))
-    unobservable[:, 1:] = directions[:, is_open].T
+    unobservable = np.pad(directions[:, is_open].T, ((0, 0), (1, 0)))
     worst_deg = np.degrees(np.sqrt(np.max(variances)))
     named = "; ".join(_in_words(direction, estimate.t) for direction in unobservable)
     reason = (

@@ -160,12 +160,11 @@ def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple
 
 
 def _free(network: Network, with_intrinsics: bool) -> IntArray:
-    """Which of all cameras' parameters are free."""
     free = list[int]()
     for k, (prior, seen) in enumerate(zip(network.priors, network.cameras, strict=True)):
         places = list(range(layout.STRAYS, network.states[k].size))
         if with_intrinsics:
-            places += [layout.READOUT] if seen.has_frames and prior.readout_s > 0.0 else []
+            places += [layout.READOUT] if prior.readout_s > 0.0 else []
             places += [] if seen.has_frames else [layout.BEHIND]
             places += [layout.FOCAL.start + i for i in range(2) if prior.focal[i] > 0.0]
             places += [layout.CENTRE.start + i for i in range(2) if prior.centre_px[i] > 0.0]

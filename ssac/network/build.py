@@ -144,9 +144,8 @@ def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
             centred.append(seen)
             continue
         times_s = _times_on_path(network, k)
-        nearest = np.clip(
-            np.rint((times_s - even_s[0]) / network.rules.shape_step_s), 0, len(even_s) - 1
-        )
+        steps = (times_s - even_s[0]) / network.rules.shape_step_s
+        nearest = np.clip(np.rint(steps), 0, len(even_s) - 1)
         view = _view(network, k, times_s, seen.spreads_px2)
         shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)], rules.depth_power)
         known = np.isfinite(seen.spreads_px2[:, :1])  # of the others it is another point
@@ -157,7 +156,7 @@ def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
 
 def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None:
     """Follow one point of the body; centres of silhouettes count less. None: it is not told."""
-    looks, views = [], []
+    looks = []
     for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
         if seen.images is None or seen.spreads_px2 is None or seen.camera.distortion_coeffs:
             return None
@@ -167,13 +166,12 @@ def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None
         corners = np.where(np.isfinite(seen.spreads_px2[:, :1]), corners, np.nan)
         shares = seen.images.shares
         looks.append(Look(times_s, state.R, view.focal_px, view.points, shares, corners))
-        views.append(view)
     moves = body_moves(looks, *_shape(network), rules)
     if moves is None:
         return None
     followed = []
-    for seen, state, view, move in zip(network.cameras, network.states, views, moves, strict=True):
-        there = view.focal_px * view.points[:, :2] / view.points[:, 2:]
+    for seen, state, look, move in zip(network.cameras, network.states, looks, moves, strict=True):
+        there = look.focal_px * look.points[:, :2] / look.points[:, 2:]
         found = there + seen.camera.K[:2, 2] + state.centre_px + move
         is_known = np.isfinite(move[:, 0])
         points_px = np.where(is_known[:, None], found, seen.points_px)
@@ -192,10 +190,13 @@ def _shape(network: Network) -> tuple[Array, Array]:
     """Give even network times (m,), and the object's second moments (m, 3, 3) then."""
     knots_s, step_s = network.path.knots_s, network.rules.shape_step_s
     even_s: Array = np.arange(knots_s[0], knots_s[-1], step_s)
-    even = [
-        _view(network, k, even_s, _spreads_at(state.own_from_network(even_s), seen))
-        for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True))
-    ]
+    even = []
+    for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
+        spreads: Array = np.full((len(even_s), 3), np.nan)
+        if seen.spreads_px2 is not None:
+            own_s, reach_s = state.own_from_network(even_s), 1.5 * seen.interval_s
+            spreads = spreads_near(seen.spreads_px2, seen.times_s, own_s, reach_s)
+        even.append(_view(network, k, even_s, spreads))
     return even_s, second_moments(even, network.rules.shape_smoothing_s / step_s)
 
 
@@ -204,10 +205,3 @@ def _view(network: Network, k: int, times_s: Array, spreads_px2: Array) -> View:
     state, K = network.states[k], network.cameras[k].camera.K
     points = network.path.at(times_s) @ state.R.T + state.t
     return View(state.R, np.array([K[0, 0], K[1, 1]]) * (1.0 + state.focal), points, spreads_px2)
-
-
-def _spreads_at(own_s: Array, seen: Sightings) -> Array:
-    """Take the silhouettes' second moments (n, 3) next to times of its clock; NaN where none is."""
-    if seen.spreads_px2 is None:
-        return np.full((len(own_s), 3), np.nan)
-    return spreads_near(seen.spreads_px2, seen.times_s, own_s, 1.5 * seen.interval_s)

@@ -48,16 +48,19 @@ class Link:
         R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
         return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
+    def offset_off_s(self, a: CameraState, b: CameraState) -> Array:
+        """Give the offset that it tells less what two states say (1,) [s]."""
+        own_s = np.array([self.clock.t_ref_s])
+        return self.clock.cam2_from_cam1(own_s) - b.own_from_network(a.network_from_own(own_s))
+
     def off(self, a: CameraState, b: CameraState) -> Array:
         """Give what it tells less what two states say (7,): of offset, turn, direction and skew."""
-        own_s = np.array([self.clock.t_ref_s])
-        shown_s = b.own_from_network(a.network_from_own(own_s))
         told_R, told_t, R = np.asarray(self.R), np.asarray(self.t), b.R @ a.R.T
         t = b.t - R @ a.t
         t = t / np.linalg.norm(t)
         return np.concatenate(
             [
-                self.clock.cam2_from_cam1(own_s) - shown_s,
+                self.offset_off_s(a, b),
                 Rotation.from_matrix(told_R @ R.T).as_rotvec(),
                 tangent_basis(told_t) @ (told_t - t),
                 [PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0],

@@ -260,12 +260,8 @@ def _contradicted(
     for built in built_all:
         states = built.states
         for a, b in combinations(built.members, 2):
-            link = links.get((a, b))
-            if link is None:
-                continue
-            own_s = np.array([link.clock.t_ref_s])
-            shown_s = states[b].own_from_network(states[a].network_from_own(own_s))
-            off_s = float((link.clock.cam2_from_cam1(own_s) - shown_s)[0])
-            if abs(off_s) > max_closure_s:
-                found[a, b] = off_s
+            if (a, b) in links:
+                off_s = float(links[a, b].offset_off_s(states[a], states[b])[0])
+                if abs(off_s) > max_closure_s:
+                    found[a, b] = off_s
     return found
