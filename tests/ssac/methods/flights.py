@@ -21,8 +21,8 @@ def scene_of(path, angle_deg=90.0):
     return replace(make_scene(0, angle_deg, DURATION_S), path=path)
 
 
-def seen(scene, seed=0):
-    return [Observation(events) for events in make_events(scene, seed, T_D_S, size_m=0.4)]
+def seen(scene, seed=0, t_d_s=T_D_S):
+    return [Observation(events) for events in make_events(scene, seed, t_d_s, size_m=0.4)]
 
 
 @cache

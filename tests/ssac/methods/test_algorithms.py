@@ -7,32 +7,19 @@ import pytest
 
 from ssac import albl, ssac, ssac_known, zncc_f
 from ssac.camera import Rig
-from ssac.config import Config
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods import correlations
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
-from tests.ssac.synthetic import (
-    CAMERA,
-    HEIGHT,
-    make_events,
-    make_scene,
-    rotation_angle_deg,
-    track_pair,
-)
-
-CLEAN = Config(denoise=False)  # the synthetic events have no noise to remove
-
-
-def observe(scene, seed, t_d_s):
-    return [Observation(events) for events in make_events(scene, seed, t_d_s)]
+from tests.ssac.methods.flights import CLEAN, T_D_S, seen
+from tests.ssac.synthetic import CAMERA, HEIGHT, make_scene, rotation_angle_deg, track_pair
 
 
 @pytest.fixture(scope="module")
 def flight():
     scene = make_scene(seed=0, duration_s=8.0)
-    return scene, observe(scene, seed=0, t_d_s=0.05)
+    return scene, seen(scene)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +27,7 @@ def flight():
 )
 def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried):
     scene = make_scene(1, angle_deg=150.0, duration_s=8.0)
-    cameras, config = observe(scene, 1, t_d_s), replace(CLEAN, interval_s=(low_s, -low_s))
+    cameras, config = seen(scene, 1, t_d_s), replace(CLEAN, interval_s=(low_s, -low_s))
     fast = method(*cameras, scene.rig, config)
     slow = method(*cameras, scene.rig, replace(config, exhaustive=True))
     assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)  # the same cost on the same grid
@@ -53,7 +40,7 @@ def test_magsac_is_an_alternative_to_lmeds(flight):
     scene, cameras = flight
     estimate = ssac(*cameras, scene.unknown_rig, replace(CLEAN, robust="magsac"))
     # As the bound, of MAGSAC's best minimal sample alone.
-    assert estimate.t_d_s == pytest.approx(0.05, abs=0.001)
+    assert estimate.t_d_s == pytest.approx(T_D_S, abs=0.001)
     assert rotation_angle_deg(estimate.R, scene.R) < 1.5
 
 
@@ -81,7 +68,7 @@ def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
         tracked(PointTrack(times_s[part], np.clip(p[part], 0.0, HEIGHT - 1)))
         for p, part in zip(track_pair(scene, times_s), parts, strict=True)
     )
-    events = make_events(scene, seed=0)[1]
+    events = seen(scene, t_d_s=0.0)[1].events
     of_events = Observation(events[(events["t"] > 3_000_000) | (events["t"] < 1_000)])
     for other, has_events in ((cam2, False), (of_events, True)):
         estimate = ssac(cam1, other, scene.unknown_rig, replace(CLEAN, interval_s=(-0.1, 0.1)))
@@ -158,7 +145,7 @@ def test_albl_recovers_large_offsets_or_refuses():
     n_right = 0
     for seed, t_d_s in ((0, -0.8), (0, 0.05), (1, 0.5), (1, -0.2), (2, -0.8), (2, 0.5)):
         scene = make_scene(seed, duration_s=6.0)
-        cameras = observe(scene, seed, t_d_s)
+        cameras = seen(scene, seed, t_d_s)
         estimate = albl(*cameras, scene.unknown_rig, CLEAN)
         if estimate.status == "ok":
             n_right += 1
@@ -202,13 +189,12 @@ def test_constant_signals_are_refused():
     assert np.isnan(estimate.t_d_s)
 
 
-def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree():
+def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree(flight):
     """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
-    scene = make_scene(seed=0, duration_s=6.0)
-    cameras = observe(scene, 0, 0.05)
+    scene, cameras = flight
     few = [Observation(camera.events[::100]) for camera in cameras]
     assert albl(*few, scene.unknown_rig, CLEAN).status == "too_few_samples"
-    config = replace(CLEAN, interval_s=(0.05, 0.05 + 1e-7))
+    config = replace(CLEAN, interval_s=(T_D_S, T_D_S + 1e-7))
     estimate = albl(*cameras, scene.unknown_rig, config)
     assert estimate.status == "no_convergence"
     assert "only 0 % of the pairs agree" in estimate.reason
