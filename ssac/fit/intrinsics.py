@@ -96,15 +96,18 @@ class Allowance:
 
 def columns_of(problem: Problem) -> tuple[Column, ...]:
     """Give the moves of a problem's points by each of its rig's uncertain intrinsics."""
-    cameras = problem.rig.cam1, problem.rig.cam2
-    points = problem.pairs.p1_px, problem.pairs.p2_px
-    moves = [moves_of(camera, p_px) for camera, p_px in zip(cameras, points, strict=True)]
-    found = []
+    moves, found = _moves(problem), []
     for one in uncertain_ones(problem.rig):
-        both = [np.zeros_like(p_px) for p_px in points]
+        both = [np.zeros_like(problem.pairs.p1_px) for _ in moves]
         both[one.camera] = moves[one.camera][one.place]
         found.append(Column(both[0], both[1], is_of_camera=True))
     return tuple(found)
+
+
+def _moves(problem: Problem) -> tuple[Array, Array]:
+    """Give `moves_of` both cameras for the points of a problem."""
+    rig, pairs = problem.rig, problem.pairs
+    return moves_of(rig.cam1, pairs.p1_px), moves_of(rig.cam2, pairs.p2_px)
 
 
 def moves_of(camera: Camera, points_px: Array) -> Array:
@@ -222,13 +225,7 @@ def turned_by_focals(residuals: Residuals) -> Array:
     problem, parameters = residuals.problem, residuals.parameters
     if problem.pose_is_known:
         return np.full(2, np.nan)
-    dp1_px, dp2_px = (
-        np.sum(moves_of(camera, p_px)[:2], axis=0)
-        for camera, p_px in (
-            (problem.rig.cam1, problem.pairs.p1_px),
-            (problem.rig.cam2, problem.pairs.p2_px),
-        )
-    )
+    dp1_px, dp2_px = (np.sum(moves[:2], axis=0) for moves in _moves(problem))
     both = Column(dp1_px, dp2_px)
     at = replace(parameters, columns=np.append(parameters.columns, 0.0))
     longer = linearise(replace(problem, columns=(*problem.columns, both)), at)
