@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssac.arrays import Array, IntArray, Mask
-from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
+from ssac.geometry.epipolar import CAUCHY, robust_deviation
 from ssac.network import state as layout
 from ssac.network.graph import Link, Pair, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
@@ -144,7 +144,7 @@ def known(network: Network) -> tuple[Array, Array]:
 
 def deviation_px(residuals_px: Array) -> float:
     """Give the robust deviation [px] of a coordinate."""
-    return float(TO_DEVIATION * np.median(np.abs(residuals_px)) if len(residuals_px) else np.nan)
+    return robust_deviation(residuals_px) if len(residuals_px) else np.nan
 
 
 def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple[Network, Solved]:

@@ -6,6 +6,7 @@ on which the most others find their place wins. No camera's error can thus spoil
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -38,7 +39,6 @@ def triangulate(
     seen_by = np.asarray(np.isfinite(rays).all(axis=2))
     filled = np.where(seen_by[:, :, None], rays, 0.0)
     across = np.eye(3) - filled[..., :, None] * filled[..., None, :]
-    points = np.full((len(times_s), 3), np.nan)
     for _ in range(2):
         is_enough = np.count_nonzero(seen_by, axis=0) >= 2
         is_enough &= are_apart(filled, seen_by, rules.least_angle_deg)
@@ -66,10 +66,9 @@ def are_apart(rays: Array, seen_by: Mask, least_deg: float) -> Mask:
     """Whether any two of the rays (c, n, 3) that are seen at each time tell a depth (n,)."""
     found = np.zeros(rays.shape[1], dtype=bool)
     least = np.sin(np.deg2rad(least_deg))
-    for i in range(len(rays)):
-        for j in range(i):
-            sines = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1)
-            found |= seen_by[i] & seen_by[j] & (sines > least)
+    for i, j in combinations(range(len(rays)), 2):
+        sines = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1)
+        found |= seen_by[i] & seen_by[j] & (sines > least)
     return found
 
 
@@ -219,16 +218,14 @@ def _best_fit(
     k: int, placed: Placed, group: Group, path: tuple[Array, Array]
 ) -> tuple[int, CameraState | None]:
     """Find a camera's place on a path, with the clock of each of its links to those placed."""
-    best, found = 0, None
+    best, found, seen = 0, None, group.cameras[k]
     for other, state in placed.states.items():
         link = group.link(other, k)
-        if link is None:
-            continue
-        seen = group.cameras[k]
-        start = _with_clock(CameraState(middle_s=seen.middle_s), link, state)
-        inliers, fitted = _resected(start, seen, *path, group.rules)
-        if fitted is not None and inliers > best:
-            best, found = inliers, fitted
+        if link is not None:
+            start = _with_clock(CameraState(middle_s=seen.middle_s), link, state)
+            inliers, fitted = _resected(start, seen, *path, group.rules)
+            if inliers > best:
+                best, found = inliers, fitted
     return best, found
 
 
