@@ -55,8 +55,9 @@ def essential_from_fundamental(F: Array, K1: Array, K2: Array) -> Array:
 
 
 def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
-    """Epipolar lines l1 = F' p2 (..., 3), a x + b y + c = 0, in image 1 of points (..., 2) in 2.
+    """Epipolar lines (..., 3) in image 1 of points (..., 2) in image 2.
 
+    They are l1 = F' p2, as (a, b, c) of a x + b y + c = 0, not normalised.
     Deviation: the paper writes l1 = F p2 below Eq. 3, which contradicts its own Eq. 2.
     """
     return np.asarray(p2_px @ F[:2] + F[2])

@@ -202,7 +202,7 @@ def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
 
 @numba.njit(cache=True, error_model="numpy")
 def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
-    """Median Sampson distance [px] of pairs (n, 2) from the F of so few iterations."""
+    """Median Sampson distance [px] of pairs (n, 2) from F after some iterations, in loops."""
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, np.zeros((3, 3)), iterations)
     squares, _ = sampson(F, x1, x2)
@@ -213,7 +213,8 @@ def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
 def second_best(p1_px: Array, p2_px: Array) -> float:
     """How many times worse than the best F another one, as unlike it as can be, fits the pairs.
 
-    Near 1 they leave F open, as those of a planar path do; 1 when they allow none, as at rest.
+    The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
+    leave F open, as those of a planar path do; 1 when they allow none, as at rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _NOT_YET)

@@ -43,8 +43,9 @@ def pose_from_fundamental(
 def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array) -> Pose:
     """Move a pose to where its epipolar geometry is nearest to F's, in pixels at the pairs.
 
-    Noise in F is far from even over its entries, which `pose_from_fundamental` weighs all alike;
-    here the mean squared difference of Sampson distances under the pose and under F is made least.
+    F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
+    from even over its entries, which `pose_from_fundamental` weighs all alike; here the mean
+    squared difference of Sampson distances under the pose and under F is made least.
     """
 
     def distances_at(R: Array, t: Array) -> Array:
@@ -67,7 +68,10 @@ def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px
 def pose_jacobian(
     R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
 ) -> Array:
-    """Differentiate the Sampson distances by a small change of the pose, of F: (N, 5) [px/rad]."""
+    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad].
+
+    F is that of the pose, where it is known already.
+    """
     F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]
@@ -107,7 +111,7 @@ def tangent_basis(t: Array) -> Array:
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
-    """Depths (N,) of the points where rays (N, 3), each in its camera's frame, pass closest.
+    """Depths (N,) of the points where rays (N, 3), z = 1 in each camera's frame, pass closest.
 
     They are in units of t, negative behind the camera, infinite or NaN for parallel rays.
     """

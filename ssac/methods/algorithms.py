@@ -124,7 +124,7 @@ def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | 
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
-    """Refine t_d and the projectivity together; t_d, its deviation [s], maybe infinite, and n."""
+    """Refine t_d and the projectivity together; t_d, its deviation [s], infinite if open, and n."""
     std_s, n_pairs = np.inf, 0
     for _ in range(8):
         along = _along(lines, views, t_d_s)

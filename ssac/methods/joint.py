@@ -48,7 +48,7 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
-    """Minimise Cauchy's loss of the Sampson distances, from a start; one not "ok" comes back."""
+    """Minimise Cauchy's loss of the Sampson distances; a start that is not "ok" is given back."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     return _OfPositions(start, views).estimate(start.R, start.t)

@@ -65,7 +65,8 @@ def tangents_under(
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
     """Find and pair the tangents of both views at even times (n,) [s] of camera 1's clock.
 
-    The events near each view's outline, given back, may be of an earlier call that was alike.
+    The events near each view's outline, given back, may be those of an earlier call with
+    parameters like these.
     """
     rig, rules = views.rig, views.rules.tangency
     clocks_s = times_s, views.on_clock_2(times_s, parameters.t_d_s)

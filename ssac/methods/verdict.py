@@ -86,7 +86,8 @@ def doubt(
 
     Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
     few others not far beyond. A second moving thing pulls the positions away for a while: then
-    those others lie far out, or all do. Of intrinsics `ssac.fit.intrinsics` says what it is given.
+    those others lie far out, or all do. Distances (n,) are weighed; what speaks against the
+    intrinsics, and how they misfit, is said by `ssac.fit.intrinsics`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -149,7 +150,8 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     is_open = ~(variances <= np.deg2rad(rules.max_pose_std_deg) ** 2)
     if not is_open.any():
         return estimate
-    unobservable = np.pad(directions[:, is_open].T, ((0, 0), (1, 0)))
+    unobservable = np.zeros((int(is_open.sum()), 6))
+    unobservable[:, 1:] = directions[:, is_open].T
     worst_deg = np.degrees(np.sqrt(np.max(variances)))
     named = "; ".join(_in_words(direction, estimate.t) for direction in unobservable)
     reason = (
