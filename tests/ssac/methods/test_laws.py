@@ -145,7 +145,7 @@ REFUSED = [  # path, methods, statuses, words of the reason, fields of the confi
     (flights.straight_uniform, FREE, MOVING, "", {"interval_s": (-0.15, 0.25)} | SPARSE),
     (flights.circle, FREE, MOVING, "", SPARSE),
     # F is open at the best offset, and others have poses that fit as well.
-    (flights.circle, ("joint",), MOVING[:1], "", {"interval_s": (-0.2, 0.3), "n_samples": 200}),
+    (flights.circle, ("joint",), MOVING[:1], "", {"interval_s": (-0.1, 0.2), "n_samples": 200}),
     (flights.helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)} | SPARSE),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
     (flights.free, FREE, ("too_few_samples",), "", {"n_samples": 25}),
