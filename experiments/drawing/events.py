@@ -20,6 +20,7 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental
+from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.plots import (
@@ -27,10 +28,9 @@ from ssac.pipeline.plots import (
     POLARITIES,
     YELLOW,
     ZOOM_S,
-    Material,
     d_avg_px,
     draw_epipolar,
-    material_of,
+    events_around,
     plane_angles,
     telling_stretch,
 )
@@ -127,14 +127,14 @@ def alignment_animation(chain: Chain) -> bytes:
     Time runs through a telling stretch. Camera 2 is looked at an offset later, which is zero at
     first, then moves to the one found, and stays there. Who shows no animation shows its end.
     """
-    material = _estimated(chain, "tangency")
+    answer = _estimated(chain, "tangency")
     n_before, n_moving, n_after = PICTURES
     eased = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, n_moving))
     shares = np.concatenate([np.zeros(n_before), eased, np.ones(n_after)])
     with rc_context(DARK):
-        scene = _Scene(material)
+        scene = _Scene(answer)
         pictures = [
-            scene.picture(float(time_s), float(share) * material.estimate.t_d_s)
+            scene.picture(float(time_s), float(share) * answer.estimate.t_d_s)
             for time_s, share in zip(np.linspace(*scene.span_s, len(shares)), shares, strict=True)
         ]
     palette = pictures[0].quantize(_PALETTE_SIZE, Image.Quantize.MAXCOVERAGE)
@@ -150,12 +150,12 @@ def alignment_animation(chain: Chain) -> bytes:
 class _Scene:
     """Two views over two charts, in which a few parts move from picture to picture."""
 
-    def __init__(self, material: Material) -> None:
-        start_s, length_s = telling_stretch(material)
-        t_d_s = material.estimate.t_d_s
+    def __init__(self, answer: Answer) -> None:
+        start_s, length_s = telling_stretch(answer)
+        t_d_s = answer.estimate.t_d_s
         self.span_s = start_s, start_s + length_s
-        self._material, self._half_s = material, material.views.config.half_window_s
-        self._F = np.asarray(material.estimate.F)
+        self._answer, self._half_s = answer, answer.config.half_window_s
+        self._F = np.asarray(answer.estimate.F)
         self._figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
         self._canvas: Any = FigureCanvasAgg(self._figure)
         views, (clouds, curve) = self._figure.subplots(2, 2, height_ratios=(1.6, 1.0))
@@ -167,8 +167,8 @@ class _Scene:
         for k, (axes, size) in enumerate(zip(views, (4.5, 2.0), strict=True)):
             self._views.append(self._view(axes, k, middles_px[k], reach_px))
             half_s = 0.5 * (ends_s[k][1] - start_s)
-            events, points = material.window(k, start_s + half_s, half_s, most=_CLOUD)
-            cloud = events["t"] / US_PER_S, plane_angles(material, k, points)
+            events, points = events_around(answer, k, start_s + half_s, half_s, most=_CLOUD)
+            cloud = events["t"] / US_PER_S, plane_angles(answer, k, points)
             (dots,) = clouds.plot(*cloud, ".", ms=size, mew=0.0, color=CAMERAS[k])
             self._clouds.append((dots, cloud[0]))
         grey = DARK["xtick.color"]
@@ -177,7 +177,7 @@ class _Scene:
         clouds.set_title("Epipolar plane of each event")
 
         offsets_s = t_d_s * np.linspace(-0.4, 2.0, 481, dtype=np.float64)
-        curve.plot(1e3 * offsets_s, d_avg_px(material, offsets_s), color=grey, lw=2.0)
+        curve.plot(1e3 * offsets_s, d_avg_px(answer, offsets_s), color=grey, lw=2.0)
         (self._at,) = curve.plot([], [], "o", ms=12, color=GAP, zorder=4)
         curve.set(xlabel="offset $t_d$ [ms]", ylabel="[px]", ylim=(0.0, None))
         curve.set_title("Mean distance from the lines")
@@ -185,7 +185,7 @@ class _Scene:
     def _area(self, ends_s: list[tuple[float, float]]) -> tuple[list[Array], float]:
         """Give the middle of each view's area [px], and the half width of both."""
         middles, reaches = [], []
-        for motion, ends in zip(self._material.motions, ends_s, strict=True):
+        for motion, ends in zip(self._answer.paired.motions, ends_s, strict=True):
             times_s: Array = np.linspace(*ends, 200, dtype=np.float64)
             track = motion.at(times_s)
             points = track.positions_px[track.valid]
@@ -206,14 +206,14 @@ class _Scene:
 
     def picture(self, time_s: float, offset_s: float) -> Image.Image:
         """Draw all at a time of camera 1's clock; camera 2 is looked at an offset later."""
-        material, at_s = self._material, (time_s, time_s + offset_s)
-        p1, p2 = (material.motions[k].at(np.array([at_s[k]])).positions_px[0] for k in (0, 1))
+        answer, at_s = self._answer, (time_s, time_s + offset_s)
+        p1, p2 = (answer.paired.motions[k].at(np.array([at_s[k]])).positions_px[0] for k in (0, 1))
         lines = epipolar_lines_1(self._F, p2), epipolar_lines_1(self._F.T, p1)
         for k, ((image, line, gap), p, abc) in enumerate(
             zip(self._views, (p1, p2), lines, strict=True)
         ):
-            shape = material.cameras[k]
-            events, _ = material.window(k, at_s[k], self._half_s)
+            shape = answer.cameras[k]
+            events, _ = events_around(answer, k, at_s[k], self._half_s)
             pixels = np.full((shape.height, shape.width), np.nan)
             pixels[events["y"], events["x"]] = 1.0
             image.set(data=pixels, extent=(-0.5, shape.width - 0.5, shape.height - 0.5, -0.5))
@@ -224,21 +224,21 @@ class _Scene:
         for (dots, times_s), shift_s in zip(self._clouds, (0.0, offset_s), strict=True):
             dots.set_xdata(times_s - shift_s)
         self._now.set_xdata([time_s, time_s])
-        d_px = float(d_avg_px(material, np.array([offset_s]))[0])
+        d_px = float(d_avg_px(answer, np.array([offset_s]))[0])
         self._at.set_data([1e3 * offset_s], [d_px])
-        how = "found" if offset_s == material.estimate.t_d_s else "tried"
+        how = "found" if offset_s == answer.estimate.t_d_s else "tried"
         self._title.set_text(f"Offset {how}: {1e3 * offset_s:.0f} ms, {d_px:.1f} px from the lines")
         self._canvas.draw()
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB")
 
 
-def _estimated(chain: Chain, method: str) -> Material:
-    """Give what figures of an estimate are drawn from."""
+def _estimated(chain: Chain, method: str) -> Answer:
+    """Give an answer that figures can be drawn from."""
     answer = chain.answer(method)
     estimate = answer.estimate
     if estimate.status != "ok":
         raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
-    return material_of(answer)
+    return answer
 
 
 def d_avg_figure(chain: Chain) -> Figure:

@@ -37,7 +37,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.pipeline import html_report
 from ssac.pipeline.api import chain_of
-from ssac.pipeline.plots import d_avg_px, material_of
+from ssac.pipeline.plots import d_avg_px
 
 METHOD = "tangency"
 T_D_S = 0.5  # of the player's flight: large enough that both views are plainly apart
@@ -153,13 +153,11 @@ def make_animation(folder: Path) -> Animation:
             f"{folder}: expected a recording that {METHOD} can synchronise, got {estimate.status} "
             f"({estimate.reason}): simulate one of 20 s at 90 deg"
         )
-    answers, material = {(0, 1): answer}, material_of(answer)
-    materials = {(0, 1): material}
-    seen = html_report.seen_by(answers, materials)
-    player = html_report.player_of(answers, materials, seen, tour=True)
+    answers = {(0, 1): answer}
+    player = html_report.player_of(answers, html_report.seen_by(answers), tour=True)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     errors = score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"]))
-    before_px, after_px = d_avg_px(material, np.array([0.0, estimate.t_d_s])).tolist()
+    before_px, after_px = d_avg_px(answer, np.array([0.0, estimate.t_d_s])).tolist()
     return Animation(estimate, errors, before_px, after_px, player)
 
 

@@ -33,7 +33,7 @@ def demo_command(
     seed: Annotated[int, number("Seed of the simulated flight.", 0, MAX_SEED)] = 0,
 ) -> None:
     """Simulate 20 s at 90 deg with an offset of 50 ms, recover it; a figure and a report."""
-    from ssac.pipeline.plots import material_of, save_figures
+    from ssac.pipeline.plots import save_figures
 
     folder = out_dir / "recording"
     if is_of_a_demo(folder):
@@ -49,7 +49,7 @@ def demo_command(
         typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
     last = results[-1]
     written = [
-        *save_figures(out_dir / "demo.png", material_of(last.answer), only="epipolar"),
+        *save_figures(out_dir / "demo.png", last.answer, only="epipolar"),
         last.report(out_dir / "report.html", "ssac demo"),
     ]
     typer.echo("\nwritten to " + ", ".join(map(str, written)))

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssac.camera import Rig
+from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.methods.method import Method
@@ -49,10 +49,20 @@ class Answer:
         one, other = self.cleans
         return one.name or "camera 1", other.name or "camera 2"
 
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        """Both cameras of the rig."""
+        return self.rig.cam1, self.rig.cam2
+
     @cached_property
     def views(self) -> TwoViews:
         """Both views as they were recorded, on clocks alike."""
         return views_of(*self.cleans, self.rig, self.config)
+
+    @cached_property
+    def paired(self) -> TwoViews:
+        """Both views as the clock that was found pairs them, at any offset."""
+        return self.views.under(self.estimate.clock)
 
     @property
     def guess(self) -> Guess | None:
@@ -63,7 +73,7 @@ class Answer:
     def notes(self) -> tuple[str, ...]:
         """What a user of the offset must know beside its status, a sentence each."""
         estimate, said = self.estimate, list[str]()
-        for number, camera in enumerate((self.rig.cam1, self.rig.cam2), start=1):
+        for number, camera in enumerate(self.cameras, start=1):
             if not camera.has_centre:
                 pu, pv = camera.K[:2, 2]
                 said.append(
@@ -110,7 +120,7 @@ class Answer:
             and not seen.n_followed
             and camera.readout_s is None
             and not camera.readout_std_s
-            for camera, seen in zip((self.rig.cam1, self.rig.cam2), self.cleans, strict=True)
+            for camera, seen in zip(self.cameras, self.cleans, strict=True)
         ):
             said.append(
                 "the rig states no readout_s, so shutters are taken for global ones; rolling ones"

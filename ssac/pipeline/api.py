@@ -64,17 +64,17 @@ class Result:
 
         With a path it is written too: a file (.png, .pdf, .svg), or a folder of one PNG each.
         """
-        from ssac.pipeline.plots import material_of, page_of
+        from ssac.pipeline.plots import page_of
 
         if path is not None:
             self.plotted(Path(path))
-        return page_of(material_of(self.answer))
+        return page_of(self.answer)
 
     def plotted(self, path: Path) -> list[Path]:
         """Draw as `plot` does, and give the files that were written."""
-        from ssac.pipeline.plots import material_of, save_figures
+        from ssac.pipeline.plots import save_figures
 
-        return save_figures(path, material_of(self.answer))
+        return save_figures(path, self.answer)
 
     def report(self, path: Path | str, command: str = "") -> Path:
         """Write all that is known as an HTML page that needs no other file; give its path.

@@ -22,7 +22,6 @@ from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
-from ssac.pipeline.plots import Material, material_of
 from ssac.pipeline.report import rows_of
 from ssac.pipeline.scene import scene_of_network, scene_of_two
 from ssac.pipeline.streams import Seen, as_recorded, streams
@@ -52,8 +51,7 @@ def report_page(
     The summary is what is printed, and the command what was called; empty: from Python. The same
     input gives the same bytes.
     """
-    materials = {pair: material_of(answer) for pair, answer in answers.items()}
-    cameras = seen_by(answers, materials, network)
+    cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
     return (
         environment()
@@ -62,7 +60,7 @@ def report_page(
             title=_title(answers, network),
             status=_status(answers, network),
             cards=_cards(answers[0, 1]) if network is None else [],
-            player=player_of(answers, materials, cameras, network),
+            player=player_of(answers, cameras, network),
             network=network,
             graph=None if network is None else _graph(answers, network),
             pairs=[
@@ -71,7 +69,7 @@ def report_page(
                     "status": str(answer.estimate.status),
                     "reason": answer.estimate.reason,
                     "offset": _offset_words(answer.estimate),
-                    "charts": charts_of(answer, materials[a, b], most),
+                    "charts": charts_of(answer, most),
                     "intrinsics": _intrinsics(answer),
                 }
                 for (a, b), answer in answers.items()
@@ -113,19 +111,16 @@ def script_json(content: Any) -> str:
 
 def player_of(
     answers: Answers,
-    materials: Mapping[Pair, Material],
     cameras: list[Seen],
     network: NetworkAnswer | None = None,
     tour: bool = False,
 ) -> dict[str, Any]:
     """Lay out what the player and the scene draw; with a tour the player starts by itself."""
-    scene = scene_of_two(materials[0, 1]) if network is None else scene_of_network(network)
-    return {"tour": tour, "scene": scene, **streams(answers, materials, cameras)}
+    scene = scene_of_two(answers[0, 1]) if network is None else scene_of_network(network)
+    return {"tour": tour, "scene": scene, **streams(answers, cameras)}
 
 
-def seen_by(
-    answers: Answers, materials: Mapping[Pair, Material], network: NetworkAnswer | None = None
-) -> list[Seen]:
+def seen_by(answers: Answers, network: NetworkAnswer | None = None) -> list[Seen]:
     """Give all cameras as the page shows them: refused or faint ones with all of their events."""
     later_s = {b: one.estimate.t_d_s for (a, b), one in answers.items() if a == 0}
     if network is not None and network.cameras[0].group == 1:
@@ -136,7 +131,7 @@ def seen_by(
     for k in range(len(later_s)):
         of_it = {pair: answer for pair, answer in answers.items() if k in pair}
         pair, answer = next(iter(of_it.items()))
-        clean, motion = answer.cleans[pair.index(k)], materials[pair].motions[pair.index(k)]
+        clean, motion = answer.cleans[pair.index(k)], answer.paired.motions[pair.index(k)]
         is_answered = any(one.estimate.has_offset for one in of_it.values())
         shown = clean if is_answered and clean.track is None else as_recorded(clean)
         is_known = bool(np.isfinite(later_s[k]))
@@ -237,11 +232,11 @@ def _offset_words(estimate: Estimate) -> str:
 
 def _intrinsics(answer: Answer) -> list[dict[str, Any]]:
     """Compare the intrinsics that were fitted with the rig's, in deviations of the rig's."""
-    rows, cameras = list[dict[str, Any]](), (answer.rig.cam1, answer.rig.cam2)
+    rows = list[dict[str, Any]]()
     for k, K in enumerate(answer.estimate.Ks or ()):
-        stds_px = zip(_NUMBERS.items(), cameras[k].intrinsics_std_px, strict=True)
+        stds_px = zip(_NUMBERS.items(), answer.cameras[k].intrinsics_std_px, strict=True)
         for (name, place), std_px in stds_px:
-            given_px, found_px = float(cameras[k].K[place]), float(K[place])
+            given_px, found_px = float(answer.cameras[k].K[place]), float(K[place])
             if std_px > 0.0:
                 rows.append(
                     {

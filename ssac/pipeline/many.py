@@ -133,14 +133,14 @@ class NetworkResult:
 
         I and J are the numbers of both cameras, from 1 on.
         """
-        from ssac.pipeline.plots import material_of, save_figures
+        from ssac.pipeline.plots import save_figures
 
         drawn = list[Path]()
         for (a, b), answer in self.pairs.items():
             pair, suffix = f"{a + 1}-{b + 1}", path.suffix
             is_file = suffix.lower() in FIGURE_SUFFIXES
             target = path.with_name(f"{path.stem}-{pair}{suffix}") if is_file else path / pair
-            drawn += save_figures(target, material_of(answer))
+            drawn += save_figures(target, answer)
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:

@@ -28,7 +28,6 @@ from ssac.pipeline.plots import (
     BLUE,
     RED,
     YELLOW,
-    Material,
     draw_costs,
     draw_minimum,
     has_costs,
@@ -79,13 +78,13 @@ class Fit:
     distances_px: Array  # (n,) signed Sampson distances
 
 
-def charts_of(answer: Answer, material: Material, most: int) -> dict[str, list[Chart]]:
+def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
     """Draw all that an answer allows, by what it is of, with so many dots in a chart at most."""
-    fit = _fit_of(answer, material)
+    fit = _fit_of(answer)
     return {
-        "cost": _cost_charts(material),
-        "residuals": [] if fit is None else _residual_charts(fit, material, most),
-        "clock": _clock_charts(material),
+        "cost": _cost_charts(answer),
+        "residuals": [] if fit is None else _residual_charts(fit, answer, most),
+        "clock": _clock_charts(answer),
     }
 
 
@@ -129,9 +128,9 @@ def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") ->
     axes.plot(*places.T, color=color, lw=size, solid_capstyle="round", label=name or "_")
 
 
-def _fit_of(answer: Answer, material: Material) -> Fit | None:
+def _fit_of(answer: Answer) -> Fit | None:
     """Sample the pairs of an estimate again; None without F."""
-    estimate, views = answer.estimate, material.views
+    estimate, views = answer.estimate, answer.paired
     if estimate.F is None or not np.isfinite(estimate.t_d_s):
         return None
     of_tangents = answer.method.name.startswith("tangency") and not answer.is_start
@@ -152,11 +151,11 @@ def _fit_of(answer: Answer, material: Material) -> Fit | None:
     return Fit(what, times_s, points, sampson_distance(estimate.F, *points))
 
 
-def _cost_charts(material: Material) -> list[Chart]:
+def _cost_charts(answer: Answer) -> list[Chart]:
     """Draw the cost over the offsets that were searched, and near the one that was found."""
-    estimate, charts = material.estimate, list[Chart]()
+    estimate, charts = answer.estimate, list[Chart]()
     t_d_s, others_s = estimate.t_d_s, estimate.alternatives_s
-    if has_costs(material):
+    if has_costs(answer):
         words = (
             "How well the views fit at each offset that was tried: one deep, narrow minimum (of a"
             " correlation: one high peak) means one answer."
@@ -166,18 +165,18 @@ def _cost_charts(material: Material) -> list[Chart]:
         if len(others_s):
             words += f" Others fit nearly as well: {', '.join(f'{s:.3f}' for s in others_s)} s."
         with _chart(charts, "Cost over the search interval", words) as axes:
-            draw_costs(axes, material)
-    if has_fit(material):
+            draw_costs(axes, answer)
+    if has_fit(answer):
         words = (
             "The same about the offset found, with the final geometry: how wide it is says how"
             " sharply the motion tells the offset."
         )
         with _chart(charts, "Near the minimum", words) as axes:
-            draw_minimum(axes, material)
+            draw_minimum(axes, answer)
     return charts
 
 
-def _residual_charts(fit: Fit, material: Material, most: int) -> list[Chart]:
+def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
     """Draw what is left of the pairs over time, as a histogram, and over both images."""
     off_px, charts = fit.distances_px, list[Chart]()
     sigma_px = max(robust_deviation(off_px), 1e-12)
@@ -191,7 +190,7 @@ def _residual_charts(fit: Fit, material: Material, most: int) -> list[Chart]:
     if beyond:
         words += f" {beyond} of {len(off_px)} lie beyond the edges."
     with _chart(charts, "Residuals over time", words) as axes:
-        since_s = fit.times_s - material.motions[0].span_s[0]
+        since_s = fit.times_s - answer.paired.motions[0].span_s[0]
         _dots(axes, np.column_stack([since_s, off_px])[thin], BLUE, 3.0)
         axes.set(xlabel="time since the start of camera 1 [s]", ylabel="distance [px]")
         axes.set_ylim(-reach_px, reach_px)
@@ -213,7 +212,7 @@ def _residual_charts(fit: Fit, material: Material, most: int) -> list[Chart]:
     )
     shares = np.abs(off_px[thin]) / sigma_px
     words = "Large ones in one part of the image alone speak of a wrong lens or intrinsics."
-    for k, camera in enumerate(material.cameras):
+    for k, camera in enumerate(answer.cameras):
         with _image_chart(charts, f"Residuals in camera {k + 1}'s image", words, camera) as axes:
             for color, size, low, high, name in classes:
                 shown = (shares >= low) & (shares < high)
@@ -279,15 +278,15 @@ def _image_chart(charts: list[Chart], title: str, words: str, camera: Camera) ->
         yield axes
 
 
-def _clock_charts(material: Material) -> list[Chart]:
+def _clock_charts(answer: Answer) -> list[Chart]:
     """Draw how camera 2's clock drifts; nothing where it was taken to run as camera 1's."""
-    estimate, charts = material.estimate, list[Chart]()
+    estimate, charts = answer.estimate, list[Chart]()
     if not (estimate.has_offset and np.isfinite(estimate.skew_ppm)):
         return []
-    begin_s, end_s = material.views.common_s(estimate.t_d_s)
+    begin_s, end_s = answer.paired.common_s(estimate.t_d_s)
     if not begin_s < end_s:
         return []
-    start_s = material.motions[0].span_s[0]
+    start_s = answer.paired.motions[0].span_s[0]
     knots_s = estimate.knots_s[(estimate.knots_s > begin_s) & (estimate.knots_s < end_s)]
     times_s = np.sort(np.concatenate([np.linspace(begin_s, end_s, 121, dtype=np.float64), knots_s]))
     more_ms = 1e3 * estimate.clock.added_s(times_s)

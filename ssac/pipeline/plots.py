@@ -9,7 +9,6 @@ are P. Tol's high-contrast set, which stays apart in grey and for colour-blind p
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 
 from ssac.arrays import Array
 from ssac.camera import Camera, undistortion_map
-from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
 from ssac.fit.covariance import NORMAL_95
@@ -29,14 +27,12 @@ from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.geometry.pose import rays_of
 from ssac.pipeline.answer import Answer
 from ssac.search.offset_search import mean_epipolar_distance
-from ssac.search.two_views import TwoViews
-from ssac.track.motion import Motion
 
 if TYPE_CHECKING:
     from ssac.network.comparison import Comparison, InTime
 
 Canvas = Figure | SubFigure
-Draw = Callable[[Canvas, "Material"], None]
+Draw = Callable[[Canvas, Answer], None]
 
 BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 
@@ -53,65 +49,13 @@ _POINT: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True)
-class Material:
-    """All that a figure may draw."""
-
-    estimate: Estimate
-    events: tuple[NDArray[np.void], NDArray[np.void]]  # as the method saw them
-    views: TwoViews
-
-    @property
-    def motions(self) -> tuple[Motion, Motion]:
-        """The object's motion in each view."""
-        return self.views.motion1, self.views.motion2
-
-    @property
-    def cameras(self) -> tuple[Camera, Camera]:
-        """Both cameras of the rig."""
-        return self.views.rig.cam1, self.views.rig.cam2
-
-    def window(
-        self, camera: int, time_s: float, half_length_s: float, most: int | None = None
-    ) -> tuple[NDArray[np.void], Array]:
-        """Give events of camera 0 or 1 around a time of its clock, about so many, and points."""
-        bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
-        events = slice_time(self.events[camera], *bounds_us)
-        events = events if most is None else events[:: max(1, len(events) // most)]
-        return events, ideal_points(self.cameras[camera], events)
-
-
-def ideal_points(camera: Camera, events: NDArray[np.void]) -> Array:
-    """Give undistorted points (n, 2) of events; NaN where the lens model has none."""
-    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
-
-
-def material_of(answer: Answer) -> Material:
-    """Give what may be drawn of two cameras."""
-    (one, other), estimate = answer.cleans, answer.estimate
-    return Material(estimate, (one.events, other.events), answer.views.under(estimate.clock))
-
-
-@dataclass(frozen=True)
-class EpipolarRow:
-    """One row of the epipolar figure: camera 2 is looked at `offset_s` after camera 1."""
-
-    name: str  # which clocks
-    offset_s: float
-    time_s: float  # camera 1's clock
-    p1: Array  # (2,) [px]
-    p2: Array  # (2,) [px]
-    line_1: Array  # (3,)
-    distance_px: float
-
-
-def save_figures(target: Path, material: Material, only: str = "") -> list[Path]:
+def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
     """Draw what an estimate allows; give the files written, none when there is nothing to draw.
 
     The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
     for all figures, one below the other. `only` names the one figure that is wanted.
     """
-    figures = [figure for figure in figures_of(material) if only in ("", figure[0])]
+    figures = [figure for figure in figures_of(answer) if only in ("", figure[0])]
     if not figures:
         return []
     if target.suffix.lower() in FIGURE_SUFFIXES:
@@ -120,32 +64,32 @@ def save_figures(target: Path, material: Material, only: str = "") -> list[Path]
         target.mkdir(parents=True, exist_ok=True)
         pages = {target / f"{figure[0]}.png": [figure] for figure in figures}
     for path, shown in pages.items():
-        _save(_page(shown, material), path, _DPI)
+        _save(_page(shown, answer), path, _DPI)
     return list(pages)
 
 
-def page_of(material: Material) -> Figure | None:
+def page_of(answer: Answer) -> Figure | None:
     """Draw all figures that an estimate allows, one below the other; None where there are none."""
-    figures = figures_of(material)
-    return _page(figures, material) if figures else None
+    figures = figures_of(answer)
+    return _page(figures, answer) if figures else None
 
 
-def figures_of(material: Material) -> list[tuple[str, float, Draw]]:
+def figures_of(answer: Answer) -> list[tuple[str, float, Draw]]:
     """List the figures that an estimate allows: name, height [in] and who draws it."""
     found = list[tuple[str, float, Draw]]()
-    if has_costs(material):
+    if has_costs(answer):
         found.append(("d_avg", 3.2, draw_search))
-    if has_fit(material):
-        found.append(("epipolar", 3.6 * len(epipolar_rows(material)), draw_epipolar))
+    if has_fit(answer):
+        found.append(("epipolar", 3.6 * len(_instant_of(answer)[1]), draw_epipolar))
     return found
 
 
-def _page(figures: list[tuple[str, float, Draw]], material: Material) -> Figure:
+def _page(figures: list[tuple[str, float, Draw]], answer: Answer) -> Figure:
     heights = [height_in for _, height_in, _ in figures]
     page = Figure(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
     parts = [page] if len(figures) == 1 else page.subfigures(len(figures), height_ratios=heights)
     for (_, _, draw), part in zip(figures, parts, strict=True):
-        draw(part, material)
+        draw(part, answer)
     return page
 
 
@@ -154,35 +98,35 @@ def _save(page: Figure, path: Path, dpi: int) -> None:
         page.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
 
 
-def has_fit(material: Material) -> bool:
+def has_fit(answer: Answer) -> bool:
     """Whether there are epipolar lines, and times at which they belong together."""
-    return material.estimate.F is not None and bool(np.isfinite(material.estimate.t_d_s))
+    return answer.estimate.F is not None and bool(np.isfinite(answer.estimate.t_d_s))
 
 
-def has_costs(material: Material) -> bool:
+def has_costs(answer: Answer) -> bool:
     """Whether there is a cost at each offset: the method's own, or that of its F."""
-    return has_fit(material) or bool(np.isfinite(material.estimate.costs).any())
+    return has_fit(answer) or bool(np.isfinite(answer.estimate.costs).any())
 
 
-def draw_search(canvas: Canvas, material: Material) -> None:
+def draw_search(canvas: Canvas, answer: Answer) -> None:
     """Draw the cost over the search interval, and near its minimum where the method has an F."""
-    whole, *rest = canvas.subplots(1, 1 + has_fit(material), squeeze=False)[0]
-    draw_costs(whole, material)
+    whole, *rest = canvas.subplots(1, 1 + has_fit(answer), squeeze=False)[0]
+    draw_costs(whole, answer)
     whole.set_title("Over the search interval")
     for axes in rest:
-        draw_minimum(axes, material)
+        draw_minimum(axes, answer)
         axes.set_title("Near the offset found, with the final F")
     for axes in (whole, *rest):
         axes.legend(loc="best", fontsize="small")
 
 
-def draw_costs(axes: Axes, material: Material) -> None:
+def draw_costs(axes: Axes, answer: Answer) -> None:
     """Draw the cost, or the correlation, at all offsets that were tried."""
-    estimate, t_d_s = material.estimate, material.estimate.t_d_s
+    estimate, t_d_s = answer.estimate, answer.estimate.t_d_s
     offsets_s, costs = estimate.candidates_s, estimate.costs
     if not np.isfinite(costs).any():  # the method kept none: that of its F
-        offsets_s = np.arange(*material.views.config.offsets_s, 2e-3, dtype=np.float64)
-        costs = d_avg_px(material, offsets_s)
+        offsets_s = np.arange(*answer.paired.config.offsets_s, 2e-3, dtype=np.float64)
+        costs = d_avg_px(answer, offsets_s)
     # Clocks may be years apart, and ticks must tell them from each other.
     base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
     if estimate.F is None and np.nanmin(costs) < 0.0:
@@ -202,12 +146,12 @@ def draw_costs(axes: Axes, material: Material) -> None:
         _mark_offset(axes, t_d_s - base_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms{what}")
 
 
-def draw_minimum(axes: Axes, material: Material) -> None:
+def draw_minimum(axes: Axes, answer: Answer) -> None:
     """Draw the cost about the offset found, with the F that goes with it."""
-    t_d_s, std_s = material.estimate.t_d_s, material.estimate.t_d_std_s
+    t_d_s, std_s = answer.estimate.t_d_s, answer.estimate.t_d_std_s
     reach_s = max(ZOOM_S, 4.0 * std_s) if np.isfinite(std_s) else ZOOM_S
     near_s: Array = np.linspace(-reach_s, reach_s, 121, dtype=np.float64)
-    axes.plot(1e3 * near_s, d_avg_px(material, t_d_s + near_s), color=BLUE, lw=1.2)
+    axes.plot(1e3 * near_s, d_avg_px(answer, t_d_s + near_s), color=BLUE, lw=1.2)
     if np.isfinite(std_s):
         ends_ms = NORMAL_95 * 1e3 * std_s * np.array([-1.0, 1.0])
         axes.axvspan(*ends_ms, color=RED, alpha=0.2, lw=0.0, label="95 % interval")
@@ -215,27 +159,33 @@ def draw_minimum(axes: Axes, material: Material) -> None:
     axes.set(xlabel="offset - offset found [ms]", ylabel="$d_{avg}$ [px]", ylim=(0.0, None))
 
 
-def draw_epipolar(canvas: Canvas, material: Material) -> None:
+def draw_epipolar(canvas: Canvas, answer: Answer) -> None:
     """Draw both cameras' events around one instant, with p1, p2, l1 and d."""
-    rows = epipolar_rows(material)
-    reach_px = float(np.clip(2.0 * max(row.distance_px for row in rows), 40.0, 150.0))
-    for (left, right), row in zip(canvas.subplots(len(rows), 2, squeeze=False), rows, strict=True):
-        _draw_events(left, material, 0, row.time_s, reach_px)
-        _draw_events(right, material, 1, row.time_s + row.offset_s, reach_px)
-        normal = row.line_1[:2]
-        foot = row.p1 - (normal @ row.p1 + row.line_1[2]) / (normal @ normal) * normal
+    F, views = np.asarray(answer.estimate.F), answer.paired
+    time_s, pairings = _instant_of(answer)
+    at_s = np.array([time_s])
+    p1_px = views.motion1.at(at_s).positions_px
+    p2s_px = [
+        views.motion2.at(views.on_clock_2(at_s, offset_s)).positions_px for offset_s in pairings
+    ]
+    distances_px = [float(epipolar_distance(F, p1_px, p2_px)[0]) for p2_px in p2s_px]
+    reach_px = float(np.clip(2.0 * max(distances_px), 40.0, 150.0))
+    rows = canvas.subplots(len(pairings), 2, squeeze=False)
+    parts = zip(rows, pairings.items(), p2s_px, distances_px, strict=True)
+    for (left, right), (offset_s, name), p2_px, distance_px in parts:
+        _draw_events(left, answer, 0, time_s, reach_px)
+        _draw_events(right, answer, 1, time_s + offset_s, reach_px)
+        (p1,), (p2,), (line_1,) = p1_px, p2_px, epipolar_lines_1(F, p2_px)
+        normal = line_1[:2]
+        foot = p1 - (normal @ p1 + line_1[2]) / (normal @ normal) * normal
         along = np.array([-normal[1], normal[0]]) / np.hypot(*normal)
         left.axline(foot, foot + along, color="black", lw=1.2, label="line $l_1$ of $p_2$")
-        left.plot(*np.stack([row.p1, foot]).T, color=RED, lw=3, label="distance $d$")
-        left.plot(*row.p1, **_POINT, label="$p_1$, $p_2$")
-        right.plot(*row.p2, **_POINT)
-        left.set_title(
-            f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px", fontsize="medium"
-        )
-        right.set_title(
-            f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}", fontsize="medium"
-        )
-        for axes, centre in ((left, row.p1), (right, row.p2)):
+        left.plot(*np.stack([p1, foot]).T, color=RED, lw=3, label="distance $d$")
+        left.plot(*p1, **_POINT, label="$p_1$, $p_2$")
+        right.plot(*p2, **_POINT)
+        left.set_title(f"Camera 1 at {time_s:.4f} s: $d$ = {distance_px:.2f} px", fontsize="medium")
+        right.set_title(f"Camera 2 at {time_s + offset_s:.4f} s: {name}", fontsize="medium")
+        for axes, centre in ((left, p1), (right, p2)):
             axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
             axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)
             axes.set_ylim(centre[1] + 0.75 * reach_px, centre[1] - 0.75 * reach_px)
@@ -243,50 +193,55 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
     canvas.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
 
 
-def d_avg_px(material: Material, offsets_s: Array) -> Array:
+def d_avg_px(answer: Answer, offsets_s: Array) -> Array:
     """Eq. 4 with the F of the estimate, at each offset."""
-    F = material.estimate.F
+    F = answer.estimate.F
     if F is None:
         return np.full(len(offsets_s), np.nan)
-    views = material.views
+    views = answer.paired
     return mean_epipolar_distance(F, views.pairs(offsets_s), views.config.rules.search.min_pairs)
 
 
-def epipolar_rows(material: Material) -> list[EpipolarRow]:
-    """Rows before, if a time is valid, and after, at one time where d before is its median."""
-    F = np.asarray(material.estimate.F)
-    motion1, motion2 = material.motions
-    t_d_s = material.estimate.t_d_s
-    pairs = material.views.pairs_at(t_d_s)
-    times_s = pairs.times_s
-    before = motion2.at(times_s)
-    pairings = [("clocks as recorded", 0.0), ("clocks aligned", t_d_s)]
-    if before.valid.any() and abs(t_d_s) > 0.0:
-        times_s = times_s[before.valid]
-        distances = epipolar_distance(
-            F, motion1.at(times_s).positions_px, before.positions_px[before.valid]
-        )
+def _instant_of(answer: Answer) -> tuple[float, dict[float, str]]:
+    """Give a time of camera 1 where d before is its median; and names by offsets of camera 2."""
+    F, t_d_s = np.asarray(answer.estimate.F), answer.estimate.t_d_s
+    motion1, motion2 = answer.paired.motions
+    pairs = answer.paired.pairs_at(t_d_s)
+    before = motion2.at(pairs.times_s)
+    if not before.valid.any() or t_d_s == 0.0:  # there is no "before"
+        times_s, points_px, pairings = pairs.times_s, pairs.points_px, dict[float, str]()
     else:
-        pairings = pairings[1:]
-        distances = epipolar_distance(F, *pairs.points_px)
-    time_s = float(times_s[np.argmin(np.abs(distances - np.median(distances)))])
-    rows = []
-    for name, offset_s in pairings:
-        p1 = motion1.at(np.array([time_s])).positions_px
-        p2 = motion2.at(material.views.on_clock_2(np.array([time_s]), offset_s)).positions_px
-        line_1, distance_px = epipolar_lines_1(F, p2)[0], float(epipolar_distance(F, p1, p2)[0])
-        rows.append(EpipolarRow(name, offset_s, time_s, p1[0], p2[0], line_1, distance_px))
-    return rows
+        times_s = pairs.times_s[before.valid]
+        points_px = motion1.at(times_s).positions_px, before.positions_px[before.valid]
+        pairings = {0.0: "clocks as recorded"}
+    distances_px = epipolar_distance(F, *points_px)
+    time_s = times_s[np.argmin(np.abs(distances_px - np.median(distances_px)))]
+    return float(time_s), pairings | {t_d_s: "clocks aligned"}
 
 
-def telling_stretch(material: Material) -> tuple[float, float]:
+def events_around(
+    answer: Answer, camera: int, time_s: float, half_length_s: float, most: int | None = None
+) -> tuple[NDArray[np.void], Array]:
+    """Give events of camera 0 or 1 around a time of its clock, about so many, and points."""
+    bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
+    events = slice_time(answer.cleans[camera].events, *bounds_us)
+    events = events if most is None else events[:: max(1, len(events) // most)]
+    return events, ideal_points(answer.cameras[camera], events)
+
+
+def ideal_points(camera: Camera, events: NDArray[np.void]) -> Array:
+    """Give undistorted points (n, 2) of events; NaN where the lens model has none."""
+    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
+
+
+def telling_stretch(answer: Answer) -> tuple[float, float]:
     """Start [s], camera 1's clock, and length [s] of where the plane's angle varies most."""
-    t_d_s = material.estimate.t_d_s
+    t_d_s = answer.estimate.t_d_s
     length_s = float(np.clip(20.0 * abs(t_d_s), 0.4, 2.0))
-    pairs = material.views.pairs(np.array([t_d_s]))
+    pairs = answer.paired.pairs(np.array([t_d_s]))
     times_s, valid = pairs.times_s[0], pairs.valid[0]
     length_s = min(length_s, float(times_s[-1] - times_s[0]))
-    angles = plane_angles(material, 0, pairs.p1_px[0])
+    angles = plane_angles(answer, 0, pairs.p1_px[0])
     scores = []
     for start_s in times_s[times_s <= times_s[-1] - length_s]:
         inside = (times_s >= start_s) & (times_s <= start_s + length_s)
@@ -296,10 +251,10 @@ def telling_stretch(material: Material) -> tuple[float, float]:
     return float(times_s[int(np.argmax(scores))]), length_s
 
 
-def plane_angles(material: Material, camera: int, points: Array) -> Array:
+def plane_angles(answer: Answer, camera: int, points: Array) -> Array:
     """Angle (n,) [deg] about the baseline of points (n, 2); 0: camera 1's line of sight."""
-    R, t = np.asarray(material.estimate.R), np.asarray(material.estimate.t)
-    rays = rays_of(material.cameras[camera].K, points)
+    R, t = np.asarray(answer.estimate.R), np.asarray(answer.estimate.t)
+    rays = rays_of(answer.cameras[camera].K, points)
     if camera == 1:
         rays = rays @ R  # from camera 2's frame to camera 1's
     baseline = R.T @ t
@@ -314,11 +269,9 @@ def _mark_offset(axes: Axes, position: float, label: str) -> None:
     axes.locator_params("x", nbins=7)
 
 
-def _draw_events(
-    axes: Axes, material: Material, camera: int, time_s: float, reach_px: float
-) -> None:
+def _draw_events(axes: Axes, answer: Answer, camera: int, time_s: float, reach_px: float) -> None:
     """Draw the events of the window around a time as pixels, the last on top."""
-    events, points = material.window(camera, time_s, material.views.config.half_window_s)
+    events, points = events_around(answer, camera, time_s, answer.config.half_window_s)
     colors = np.where(events["p"] > 0, YELLOW, BLUE)
     width_pt = 270.0  # of one of two axes side by side
     pixel_pt = 1.15 * width_pt / (2.0 * reach_px)  # a little more, lest they leave gaps

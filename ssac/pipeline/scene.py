@@ -9,7 +9,7 @@ from ssac.estimate import Status
 from ssac.geometry.epipolar import cross_matrix, robust_deviation, sampson_distance
 from ssac.geometry.pose import depths, rays_of, tangent_basis
 from ssac.network.solve import NetworkAnswer
-from ssac.pipeline.plots import Material
+from ssac.pipeline.answer import Answer
 from ssac.track.moments import image_by_place
 
 _MOST_POINTS = 1500  # of the path
@@ -17,13 +17,13 @@ _CROSSES = 60  # of deviations along it
 _LARGER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))  # how deviations are drawn
 
 
-def scene_of_two(material: Material) -> dict[str, Any] | None:
+def scene_of_two(answer: Answer) -> dict[str, Any] | None:
     """Lay out two cameras, the first of which is the frame, and where both rays to the object meet.
 
     Deviations of the path are those of its positions' noise; the pose's are at camera 2. None where
     there is no reliable pose.
     """
-    estimate, views = material.estimate, material.views
+    estimate, views = answer.estimate, answer.paired
     R, t, F = estimate.R, estimate.t, estimate.F
     if estimate.status != Status.OK or R is None or t is None or F is None:
         return None
@@ -31,7 +31,7 @@ def scene_of_two(material: Material) -> dict[str, Any] | None:
     one, other = views.sharp_at(times_s, estimate.t_d_s)
     seen = one.valid & other.valid
     times_s, p1, p2 = times_s[seen], one.positions_px[seen], other.positions_px[seen]
-    rays = [rays_of(camera.K, p) for camera, p in zip(material.cameras, (p1, p2), strict=True)]
+    rays = [rays_of(camera.K, p) for camera, p in zip(answer.cameras, (p1, p2), strict=True)]
     depths_1, depths_2 = depths(R, t, *rays)
     ahead = (depths_1 > 0.0) & (depths_2 > 0.0)
     if not ahead.any():
@@ -40,8 +40,8 @@ def scene_of_two(material: Material) -> dict[str, Any] | None:
     some = np.flatnonzero(ahead)[:: 1 + np.count_nonzero(ahead) // _CROSSES]
     information: Array = np.zeros((len(some), 3, 3))
     for K, turn, shift in (
-        (material.cameras[0].K, np.eye(3), np.zeros(3)),
-        (material.cameras[1].K, R, t),
+        (answer.cameras[0].K, np.eye(3), np.zeros(3)),
+        (answer.cameras[1].K, R, t),
     ):
         by = image_by_place(turn, np.diag(K)[:2], points[some] @ turn.T + shift)
         information += np.swapaxes(by, 1, 2) @ by

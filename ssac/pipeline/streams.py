@@ -21,7 +21,7 @@ from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.network.graph import Pair
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.plots import Material, d_avg_px, ideal_points
+from ssac.pipeline.plots import d_avg_px, ideal_points
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion
 
@@ -112,19 +112,17 @@ def as_recorded(clean: Clean) -> Clean:
     return clean if events is None else replace(clean, events=events, track=None)
 
 
-def streams(
-    answers: Mapping[Pair, Answer], materials: Mapping[Pair, Material], cameras: list[Seen]
-) -> dict[str, Any]:
+def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, Any]:
     """Lay out what the player draws of both, as plain lists, numbers and base64 for JSON."""
     begin_s, end_s = _stretch(cameras[0])
     views = []
     for k, seen in enumerate(cameras):
         first_s, last_s = seen.span_s
         later_s = first_s - cameras[0].span_s[0] if seen.later_s is None else seen.later_s
-        reach_s = max(_reach_s(m.estimate.t_d_s) for pair, m in materials.items() if k in pair)
+        reach_s = max(_reach_s(one.estimate.t_d_s) for pair, one in answers.items() if k in pair)
         span_s = max(first_s, begin_s + later_s - reach_s), min(last_s, end_s + later_s + reach_s)
         views.append(_view(seen, span_s, _MOST_EVENTS // len(cameras)))
-    pairs = [_pair(pair, materials[pair], views) for pair in answers]
+    pairs = [_pair(pair, answer, views) for pair, answer in answers.items()]
     return {"views": views, "pairs": pairs}
 
 
@@ -203,9 +201,9 @@ def packed(values: NDArray[Any], dtype: DTypeLike) -> str:
     return base64.b64encode(zlib.compress(planes.tobytes())).decode("ascii")
 
 
-def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[str, Any]:
+def _pair(pair: Pair, answer: Answer, views: list[dict[str, Any]]) -> dict[str, Any]:
     """Lay out how two cameras fit: F, the clock and the cost over the offsets that can be tried."""
-    estimate, clock = material.estimate, material.estimate.clock
+    estimate, clock = answer.estimate, answer.estimate.clock
     is_known, middle_s = bool(np.isfinite(estimate.t_d_s)), estimate.t_d_s
     if not is_known:  # clocks as they are; or, where they have nothing in common, from both starts
         apart_s = views[pair[1]]["start"] - views[pair[0]]["start"]
@@ -213,7 +211,7 @@ def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[s
     reach_s = _reach_s(estimate.t_d_s)
     before_s = float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s))
     curve_px = d_avg_px(
-        material, np.linspace(middle_s - reach_s, middle_s + reach_s, 301, dtype=np.float64)
+        answer, np.linspace(middle_s - reach_s, middle_s + reach_s, 301, dtype=np.float64)
     )
     return {
         "cameras": pair,
@@ -228,13 +226,13 @@ def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[s
         "knots": clock.knots_s.tolist(),
         "strays": clock.strays_s.tolist(),
         "curve": [round(px, 3) if np.isfinite(px) else None for px in curve_px.tolist()],
-        "still": _telling_time_s(material, views[pair[0]], before_s),
+        "still": _telling_time_s(answer, views[pair[0]], before_s),
     }
 
 
-def _telling_time_s(material: Material, view: dict[str, Any], before_s: float) -> float:
+def _telling_time_s(answer: Answer, view: dict[str, Any], before_s: float) -> float:
     """Give a time at which a picture tells much: before, the object is far off its line."""
-    views, F, t_d_s = material.views, material.estimate.F, material.estimate.t_d_s
+    views, F, t_d_s = answer.paired, answer.estimate.F, answer.estimate.t_d_s
     times_s: Array = view["start"] + view["frame"] * np.arange(view["n_frames"], dtype=np.float64)
     one = views.motion1.at(times_s)
     seen, worth = one.valid, -np.abs(times_s - np.mean(times_s))

@@ -29,7 +29,6 @@ from ssac.pipeline.plots import (
     ZOOM_S,
     draw_epipolar,
     draw_search,
-    material_of,
     plane_angles,
 )
 from ssac.pipeline.registry import METHODS
@@ -205,11 +204,6 @@ def test_several_things_are_told(answer):
 # --- Figures ---
 
 
-@pytest.fixture(scope="module")
-def material(result):
-    return material_of(result.answer)
-
-
 def of(result, estimate):
     """The same recordings with another estimate."""
     return replace(result, answer=replace(result.answer, estimate=estimate))
@@ -249,34 +243,32 @@ def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
     assert all(axes.collections for axes in epipolar.axes)
 
 
-def test_what_is_drawn_is_the_search_and_the_distance(material):
+def test_what_is_drawn_is_the_search_and_the_distance(result):
     search, epipolar = Figure(), Figure()
-    draw_search(search, material)
+    draw_search(search, result.answer)
     whole, zoom = search.axes
-    assert np.array_equal(
-        whole.lines[0].get_data(), (material.estimate.candidates_s, material.estimate.costs)
-    )
+    assert np.array_equal(whole.lines[0].get_data(), (result.candidates_s, result.costs))
     near_ms, d_avg_px = zoom.lines[0].get_data()
     np.testing.assert_allclose(near_ms[[0, -1]], [-1e3 * ZOOM_S, 1e3 * ZOOM_S])
     # The estimate is of tangents, the curve of means: on these random pixels 1 ms apart or so.
     assert abs(near_ms[np.argmin(d_avg_px)]) < 2.0
-    draw_epipolar(epipolar, material)
+    draw_epipolar(epipolar, result.answer)
     assert len(epipolar.axes) == 4
     drawn_px = []
     for left, right in (epipolar.axes[:2], epipolar.axes[2:]):
         segment = np.transpose(left.lines[1].get_data())
         p1, p2 = (np.ravel(axes.lines[-1].get_data()) for axes in (left, right))
         drawn_px.append(np.linalg.norm(segment[1] - segment[0]))
-        assert drawn_px[-1] == pytest.approx(epipolar_distance(material.estimate.F, p1, p2))
+        assert drawn_px[-1] == pytest.approx(epipolar_distance(result.F, p1, p2))
         assert f"{drawn_px[-1]:.2f} px" in left.get_title()
     assert drawn_px[1] < drawn_px[0]
 
 
-def test_one_point_has_one_plane_angle_in_both_views(recorded, material):
+def test_one_point_has_one_plane_angle_in_both_views(recorded, result):
     scene = recorded.scene
-    truth = replace(material.estimate, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
+    truth = replace(result.estimate, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
     p1, p2 = track_pair(scene, np.linspace(0.5, 7.5, 50))
-    exact = replace(material, estimate=truth)
+    exact = replace(result.answer, estimate=truth)
     angles_1, angles_2 = plane_angles(exact, 0, p1), plane_angles(exact, 1, p2)
     np.testing.assert_allclose(angles_1, angles_2, atol=1e-9)
     assert np.ptp(angles_1) > 5.0
@@ -299,8 +291,7 @@ def drawn(result):
 
 
 def laid_out(answer):
-    materials = {BOTH: material_of(answer)}
-    return streams({BOTH: answer}, materials, seen_by({BOTH: answer}, materials))
+    return streams({BOTH: answer}, seen_by({BOTH: answer}))
 
 
 def unpacked(text, dtype):
@@ -411,8 +402,8 @@ def test_the_players_events_are_the_recordings(result, drawn):
         assert 0.2 < np.mean(p) < 0.8
 
 
-def test_the_players_positions_are_those_of_the_views(material, drawn):
-    for view, motion in zip(drawn["views"], material.motions, strict=True):
+def test_the_players_positions_are_those_of_the_views(result, drawn):
+    for view, motion in zip(drawn["views"], result.answer.paired.motions, strict=True):
         track = unpacked(view["track"], "<i2").reshape(-1, 2).astype(float)
         seen = motion.at(view["start"] + view["frame"] * np.arange(len(track)))
         valid = track[:, 0] > -32768
@@ -447,23 +438,23 @@ def test_two_minutes_of_noise_fit_on_a_page(result):
     assert len(page_of(replace(result.answer, cleans=cleans))) < 3_000_000
 
 
-def test_the_path_is_seen_where_both_cameras_see_it(result, material):
-    scene = scene_of_two(material)
+def test_the_path_is_seen_where_both_cameras_see_it(result):
+    scene = scene_of_two(result.answer)
     points, times_s = np.array(scene["path"]), np.array(scene["times"])
-    seen, _ = material.views.sharp_at(times_s, result.t_d_s)
+    seen, _ = result.answer.paired.sharp_at(times_s, result.t_d_s)
     images = points @ K.T
     off_px = np.linalg.norm(images[:, :2] / images[:, 2:] - seen.positions_px, axis=1)
     # Half of the distance between two rays, of positions some pixels off their lines.
     assert np.nanmedian(off_px) < 2.0
 
 
-def test_the_spread_of_camera_2_is_that_of_the_pose(result, material):
+def test_the_spread_of_camera_2_is_that_of_the_pose(result):
     """By draws from the covariance; 4000 of them give each deviation to 1 %."""
     rng = np.random.default_rng(0)
     steps = rng.multivariate_normal(np.zeros(5), 1e-4 * result.covariance[1:, 1:], 4000)
     poses = [moved_pose(result.R, result.t, step) for step in steps]
     drawn = 1e2 * np.std([-R.T @ t for R, t in poses], axis=0)
-    axes = np.array(scene_of_two(material)["cameras"][1]["axes"])
+    axes = np.array(scene_of_two(result.answer)["cameras"][1]["axes"])
     np.testing.assert_allclose(np.sqrt(np.sum(axes**2, axis=0)), drawn, rtol=0.1)
 
 
