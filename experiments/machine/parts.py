@@ -27,8 +27,8 @@ from sim.scene.trajectory import SplineConfig, random_spline
 from sim.storage import record
 from ssac.arrays import Array
 from ssac.camera import Cameras
-from ssac.pipeline.chain import MEANS, Chain, Source
-from ssac.pipeline.opened import opened, opened_rig
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import MEANS, Source, opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method
 
 REPEATS = 5  # the best of as many is taken

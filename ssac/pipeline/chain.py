@@ -16,12 +16,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import combinations
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Camera, Cameras, Rig, check_cameras, check_centres
+from ssac.camera import Cameras, Rig, check_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -29,6 +29,7 @@ from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
+from ssac.pipeline.opened import IMAGES, MEANS, Recording, Source, cameras_of, kind_of
 from ssac.pipeline.registry import choose_method, load
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
@@ -38,24 +39,6 @@ from ssac.track.clean import Clean, clean, followed
 from ssac.track.observation import Observation, check_seen
 
 Found = TypeVar("Found")
-
-MEANS, IMAGES = "means", "images"
-"""What a method takes of intensity frames: one number each, or all of them."""
-
-
-class Source(Protocol):
-    """What one camera recorded: an `Observation`, or a file that gives one when it is read."""
-
-    @property
-    def name(self) -> str:
-        """For messages; empty: the camera's number."""
-
-    @property
-    def has_track(self) -> bool:
-        """Whether it is a track of points."""
-
-    def read(self, frames: str = "") -> Observation:
-        """Give what was recorded; with frames, or their means, where they are asked for."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +80,7 @@ class Chain:
         self._kept: dict[Hashable, Any] = {}
         self._undelayed: tuple[Chain, float] | None = None
         for k, source in enumerate(self.sources, start=1):
-            if not all(hasattr(type(source), name) for name in ("name", "has_track", "read")):
+            if not isinstance(source, (Observation, Recording)):
                 raise SsacError(f"camera {k}: expected a ssac.Observation, got {kind_of(source)}")
         if not 2 <= len(self.sources) == len(self.rig):
             raise SsacError(
@@ -520,24 +503,6 @@ class Chain:
 
     def _has_track(self, i: int, j: int) -> bool:
         return self.sources[i].has_track or self.sources[j].has_track
-
-
-def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Cameras:
-    """Give a rig of any form as cameras, which are checked."""
-    if isinstance(rig, Rig):
-        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
-    elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
-        rig = Cameras(tuple(rig))
-    if not isinstance(rig, Cameras):
-        raise SsacError(f"rig: expected {forms}, got {kind_of(rig)}")
-    check_cameras(rig)
-    return rig
-
-
-def kind_of(value: object) -> str:
-    """Name what came in the place of something else."""
-    text = repr(value)
-    return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
 
 
 def _key_of(rig: Rig) -> Hashable:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.arrays import Array, Events
-from ssac.camera import Camera, Cameras, Rig
+from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
@@ -25,7 +25,6 @@ from ssac.files.readable import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
-from ssac.pipeline.chain import MEANS, cameras_of, kind_of
 from ssac.points import PointTrack, check_track
 from ssac.track.motion import check_readout
 from ssac.track.observation import Observation, check_seen, tracked
@@ -66,6 +65,9 @@ class Known:
 
 NOTHING = Known()
 
+MEANS, IMAGES = "means", "images"
+"""What a method takes of intensity frames: one number each, or all of them."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -87,7 +89,7 @@ class Recording:
         return is_track_file(self.path)
 
     def read(self, frames: str = "") -> Observation:
-        """Read it, with frames ("images" or "means") where the file has them, and check it."""
+        """Read it, with MEANS or IMAGES where the file has them, and check it."""
         what = f"{self.path} with {self.camera_name}"
         if self.has_track:
             track = load_track(self.path)
@@ -118,6 +120,10 @@ class Recording:
             return seen
         times_us, images = found
         return replace(seen, frames=images, frame_times_s=times_us / US_PER_S)
+
+
+Source = Observation | Recording
+"""What one camera recorded: it is there, or a file that gives it when it is read."""
 
 
 def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) -> Cameras:
@@ -153,7 +159,7 @@ def opened(
     rig: Cameras,
     numbers: Sequence[int] | None = None,
     reading: Reading = STRICT,
-) -> tuple[Observation | Recording, ...]:
+) -> tuple[Source, ...]:
     """Open what each camera recorded, without reading files; by its number in the rig file."""
     numbers = numbers or range(1, len(seen) + 1)
     for (a, one), (b, other) in combinations(zip(numbers, seen, strict=True), 2):
@@ -169,6 +175,24 @@ def opened(
         _opened(one, camera, number, rig.name, reading)
         for one, camera, number in zip(seen, rig.cameras, numbers, strict=True)
     )
+
+
+def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Cameras:
+    """Give a rig of any form as cameras, which are checked."""
+    if isinstance(rig, Rig):
+        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
+    elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
+        rig = Cameras(tuple(rig))
+    if not isinstance(rig, Cameras):
+        raise SsacError(f"rig: expected {forms}, got {kind_of(rig)}")
+    check_cameras(rig)
+    return rig
+
+
+def kind_of(value: object) -> str:
+    """Name what came in the place of something else."""
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
 
 
 def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
@@ -187,7 +211,7 @@ def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
 
 def _opened(
     seen: CameraInput, camera: Camera, number: int, rig_name: str, reading: Reading
-) -> Observation | Recording:
+) -> Source:
     if isinstance(seen, (str, Path)):
         path = Path(seen)
         if bag_of(path) is None and not path.is_dir():  # which the reader says
