@@ -49,13 +49,12 @@ def track_command(
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
     given = SimpleNamespace(**options)
     from ssac.cli.progress import compilation_told
-    from ssac.events import check_events
     from ssac.files.damage import Reading
-    from ssac.files.event_files import load_events
-    from ssac.files.rigs import check_resolution, load_camera
+    from ssac.files.rigs import load_camera
     from ssac.files.ros_bags import file_of
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_targets
+    from ssac.pipeline.opened import Recording
     from ssac.search.object_track import things_seen, track_of_events
     from ssac.track.clean import clean
     from ssac.track.faint import faint_object_events
@@ -69,15 +68,13 @@ def track_command(
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
     calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"
+    recording = Recording(cam, calibrated, name, Reading(given.allow_damaged, given.sort))
     with warnings_as_lines():
-        file = load_events(cam, Reading(given.allow_damaged, given.sort))
-    check_resolution(calibrated, file.width, file.height, name, str(cam))
-    check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
+        events = recording.read().events
     config = config_of(OPTIONS, options | {"no_denoise": given.no_denoise or given.faint})
     shape = calibrated.width, calibrated.height
     try:
         with compilation_told():
-            events = file.events
             if given.faint:
                 events = faint_object_events(events, *shape, config.rules)
             seen = clean(Observation(events), calibrated, config.cleaning)

@@ -11,12 +11,13 @@ import numpy as np
 
 from ssac.camera import Camera, Rig
 from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Refusal
 from ssac.methods.method import Method
 from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
 from ssac.search.two_views import TwoViews, views_of
 from ssac.track.clean import Clean
+from ssac.track.observation import Observation
 
 Log = Callable[[str], None]
 
@@ -186,3 +187,33 @@ class Stopwatch:
             head = f"{name:9}{took_s:6.2f} s  "
             parts = [part for line in lines for part in folded(line, COLUMNS - len(head))]
             self.log(head + ("\n" + " " * len(head)).join(parts))
+
+
+def held_words(seen: Observation, name: str) -> str:
+    """Say in a line what a camera recorded."""
+    events, (start_s, end_s) = f"{len(seen.events)} events", seen.span_s
+    held = events if seen.track is None else f"{len(seen.track)} points"
+    return f"{name}: {held} from {start_s:.3f} to {end_s:.3f} s"
+
+
+def objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
+    """Say how many things the cameras saw, and what is left of them."""
+    if refusal is not None:
+        return "several, and none told from the others"
+    if all(one.used.seen == 1 for one in cleans):
+        return "one at a time"
+    seen = " and ".join(str(one.used.seen) for one in cleans)
+    shares = " and ".join(f"{100.0 * one.used.share:.0f} %" for one in cleans)
+    return f"{seen} at a time; {shares} of the events are of one that all cameras see"
+
+
+def in_fifths(log: Log) -> Callable[[float], None]:
+    """Log a line for each fifth of a search that takes long."""
+    start_s, logged = time.perf_counter(), [0.0]
+
+    def report(share: float) -> None:
+        if share >= logged[0] + 0.2 and time.perf_counter() - start_s > 2.0:
+            logged[0] = share
+            log(f"search   {100.0 * share:4.0f} %")
+
+    return report

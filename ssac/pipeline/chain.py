@@ -9,7 +9,6 @@ common to methods, offsets, pairs and parameters is found once.
 """
 
 import sys
-import time
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
@@ -28,8 +27,8 @@ from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
-from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
-from ssac.pipeline.opened import IMAGES, MEANS, Recording, Source, cameras_of, kind_of
+from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
+from ssac.pipeline.opened import IMAGES, MEANS, Recording, Source, cameras_of, check_two, kind_of
 from ssac.pipeline.registry import choose_method, load
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
@@ -244,7 +243,7 @@ class Chain:
         rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
         cleans = cleans or (self._given(method, places[0]), self._given(method, places[1]))
         pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
-        _check_two(self.name(places[0]), self.name(places[1]), *cleans)
+        check_two(self.name(places[0]), self.name(places[1]), *cleans)
         tries_all = of_tracks and self._searches_all(*cleans)
         answer = self._of_one(pair, tries_all)
         if not of_tracks:
@@ -411,7 +410,7 @@ class Chain:
             seen = self.recorded(k)
             if isinstance(seen, Clean) and (seen.denoised or not how.denoise):
                 return clean(seen, self.rig.cameras[k], how, name)
-            say(_held(seen, name))
+            say(held_words(seen, name))
         with self.watch.part("denoise") as say:
             found = clean(seen, self.rig.cameras[k], how, name)
             if found.clutter is not None:
@@ -425,7 +424,7 @@ class Chain:
         def framed() -> Observation:
             with self.watch.part("read") as say:
                 seen = self.recorded(k, frames)
-                say(_held(seen, self.name(k)))
+                say(held_words(seen, self.name(k)))
             return seen
 
         return self._once(("frames", k, frames), framed)
@@ -442,7 +441,7 @@ class Chain:
             with self.watch.part("objects") as say:
                 found = one_object(cleans, config.rules, interval_s)
                 if any(len(one.events) for one in cleans):
-                    say(_objects_seen(*found))
+                    say(objects_seen(*found))
             return found
 
         every, refusal = self._once(("object", config.cleaning, config.rules, interval_s), chosen)
@@ -471,7 +470,7 @@ class Chain:
 
         def found(rates: Interval | None) -> Start:
             with self.watch.part("search") as say:
-                start = start_of(views, rates, _progress(self.watch.log))
+                start = start_of(views, rates, in_fifths(self.watch.log))
                 say(start.words)
             return start
 
@@ -513,51 +512,6 @@ def _key_of(rig: Rig) -> Hashable:
 
 def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:
     return id(cleans[0]), id(cleans[1])
-
-
-def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
-    """Refuse two cameras that gave what one saw: without a baseline all fits."""
-    if one.track is not None and other.track is not None:
-        same = np.array_equal(one.track.points_px, other.track.points_px)
-    else:
-        same = 0 < len(one.events) == len(other.events) and all(
-            np.array_equal(one.events[field], other.events[field]) for field in "xy"
-        )
-    if same:
-        raise SsacError(
-            f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
-            " baseline between a camera and itself: give what each camera recorded"
-        )
-
-
-def _held(seen: Observation, name: str) -> str:
-    """Say in a line what a camera recorded."""
-    events, (start_s, end_s) = f"{len(seen.events)} events", seen.span_s
-    held = events if seen.track is None else f"{len(seen.track)} points"
-    return f"{name}: {held} from {start_s:.3f} to {end_s:.3f} s"
-
-
-def _objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
-    """Say how many things the cameras saw, and what is left of them."""
-    if refusal is not None:
-        return "several, and none told from the others"
-    if all(one.used.seen == 1 for one in cleans):
-        return "one at a time"
-    seen = " and ".join(str(one.used.seen) for one in cleans)
-    shares = " and ".join(f"{100.0 * one.used.share:.0f} %" for one in cleans)
-    return f"{seen} at a time; {shares} of the events are of one that all cameras see"
-
-
-def _progress(log: Log) -> Callable[[float], None]:
-    """Log a line for each fifth of a search that takes long."""
-    start_s, logged = time.perf_counter(), [0.0]
-
-    def report(share: float) -> None:
-        if share >= logged[0] + 0.2 and time.perf_counter() - start_s > 2.0:
-            logged[0] = share
-            log(f"search   {100.0 * share:4.0f} %")
-
-    return report
 
 
 def one_thread() -> AbstractContextManager[Any]:

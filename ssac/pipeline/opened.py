@@ -26,6 +26,7 @@ from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import PointTrack, check_track
+from ssac.track.clean import Clean
 from ssac.track.motion import check_readout
 from ssac.track.observation import Observation, check_seen, tracked
 
@@ -193,6 +194,21 @@ def kind_of(value: object) -> str:
     """Name what came in the place of something else."""
     text = repr(value)
     return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
+
+
+def check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
+    """Refuse two cameras that gave what one saw: without a baseline all fits."""
+    if one.track is not None and other.track is not None:
+        same = np.array_equal(one.track.points_px, other.track.points_px)
+    else:
+        same = 0 < len(one.events) == len(other.events) and all(
+            np.array_equal(one.events[field], other.events[field]) for field in "xy"
+        )
+    if same:
+        raise SsacError(
+            f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
+            " baseline between a camera and itself: give what each camera recorded"
+        )
 
 
 def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
