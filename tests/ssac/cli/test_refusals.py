@@ -31,21 +31,20 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
     (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
     events = load_events(recorded / "cam1.h5").events
     save_events_text(folder / "sparse.txt", events[::8], WIDTH, HEIGHT)
-    copied = load_events(recorded / "cam2.h5").events
-    copied["t"] += 20_000  # another clock makes no other camera of it
     late = events.copy()
     late["t"] += 60_000_000
-    at_rest = replace(recorded.scene, path=lambda t: np.tile([0.3, 0.2, 5.1], (len(t), 1)))
+    at_rest = replace(
+        recorded.scene, path=lambda t: np.tile([0.3, 0.2, 5.1], (len(t), 1)), duration_s=4.0
+    )
     for name, some in {
         "late": late,
-        "copy": copied,
         "still": make_events(at_rest, 0, size_m=0.4)[0],
-        **{f"lamp{k}": lamp(*place, 12, 8_000_000) for k, place in enumerate(PLACES)},
-        **{f"noise{k}": noise(WIDTH, HEIGHT, 5.0, 1_500_000, k) for k in range(2)},
+        **{f"lamp{k}": lamp(*place, 12, 4_000_000) for k, place in enumerate(PLACES)},
+        **{f"noise{k}": noise(WIDTH, HEIGHT, 5.0, 500_000, k) for k in range(2)},
         "events_only": events,
     }.items():
         save_events_h5(folder / f"{name}.h5", some, WIDTH, HEIGHT)
-    topics = {"/left": arrays(events[:300]), "/right": mono(copied[:300])}
+    topics = {"/left": arrays(events[:300]), "/right": mono(events[:300])}
     write_bag(folder / "both.bag", topics)
     write_bag(folder / "one.bag", {"/left": topics["/left"]})
     (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
@@ -92,11 +91,9 @@ def folder(recorded, tmp_path_factory) -> Path:
 
 
 EVENTS = [
-    ("missing.h5", "missing.h5: there is no such file"),
     ("folder.h5", "folder.h5: is a folder: give a file of one camera's events"),
     ("outside.txt", "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
     ("cam2.h5", "cam2.h5: given for both cameras"),
-    ("copy.h5", "copy.h5 and cam2.h5 hold the same points: one is a copy of the other"),
     ("cam1.h5 --search -1e9 1e9", "--search: expected a smaller and a larger offset"),
     ("cam1.h5 --search 0 4000", "at most 3600 seconds apart, got 0 4000"),
     ("events_only.h5 --method zncc_f", "events_only.h5: zncc_f compares intensity frames"),
@@ -164,7 +161,6 @@ MANY = [
         for name in ("third.csv", "no_attitude.csv")
     ),
     ("third.csv --rig rig.yaml", "there is no cam2 for camera 3"),
-    ("nix.csv", "nix.csv: there is no such file"),
     ("cam1.csv", "given for cameras 1 and 3"),
 ]
 
@@ -208,9 +204,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
         ("isolated.txt cam2.h5", "camera 1: denoising left 0 of 2 events: check .*--no-denoise"),
         ("sparse.txt cam2.h5 --n-min 200", "1: no window of 40 ms holds 200 events.*--n-min"),
         ("late.h5 cam2.h5 --search -1 1", r"camera 1 .60.* have no common time .*leave out --s"),
-        ("late.h5 cam2.h5 --search -1 1 --method ssac", r"no common time .*leave out --search"),
         ("still.h5 cam2.h5", "no_motion: in camera 1 the object moves by .*: it is at rest"),
-        ("still.h5 cam2.h5 --search-all", "no_motion: in camera 1 the object moves by .*at rest"),
         ("lamp0.h5 lamp1.h5", r"camera 1: denoising left 0 of (\d+) events, of which \1 were of l"),
         ("noise0.h5 noise1.h5", "no_motion: of .* events of camera 1 too few keep together"),
     ],

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from ssac import sync
 from ssac.cli.exits import NO_ESTIMATE
@@ -29,7 +28,7 @@ from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, lamp, merged, mixed
 from tests.ssac.command import read_json, run, run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_angle_deg
-from tests.ssac.tracks import rig_document, save_pair
+from tests.ssac.tracks import save_pair
 
 TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
 KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples", "d_avg_px"}
@@ -78,51 +77,46 @@ def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorde
     assert all(np.array_equal(before[field], after[field]) for field in "xyp")
 
 
-def test_swapped_cameras_have_the_opposite_sign(recorded):
-    cam1, cam2 = recorded.pair
-    result = run_sync(cam2, cam1, "--rig", recorded / "rig.yaml", "--method", "joint")
-    assert result.exit_code == 0
-    assert "t_d = -" in result.stdout
-    assert "less than camera 1's; add it to camera 2's timestamps" in result.stdout
+NAMES = dict.fromkeys(("cam1", "cam2", "rig", "seconds"))
 
 
-NAMES = {"cam1", "cam2", "rig", "seconds"}
-
-
-@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
-def test_bags_give_what_the_files_give_that_they_were_made_of(suffix, recorded, tmp_path):
-    out, bag = tmp_path / "out.json", tmp_path / f"flight{suffix}"
-    cam1, cam2 = (load_events(path).events for path in recorded.pair)
+def test_bags_give_what_the_files_give_that_they_were_made_of(recorded, tmp_path):
+    out, bag = tmp_path / "out.json", tmp_path / "flight.bag"
+    cam1, cam2 = (load_events(path).events[:50_000] for path in recorded.pair)
+    files = tmp_path / "cam1.h5", tmp_path / "cam2.h5"
+    for file, events in zip(files, (cam1, cam2), strict=True):
+        save_events_h5(file, events, WIDTH, HEIGHT)
     write_bag(bag, {"/cam2/events": mono(cam2), "/cam1/events": arrays(cam1)})
-    args = ("--rig", recorded / "rig.yaml", "--method", "joint", "--json", out)
-    assert run_sync(*recorded.pair, *args).exit_code == 0
-    expected = read_json(out)
+    args = ("--rig", recorded / "rig.yaml", "--method", "event_rate", "--no-denoise")
+    found = []
     for cameras in (
+        files,
         (bag, "--topics", "/cam1/events", "/cam2/events"),
         (bag, bag, "--topics", "cam1/events", "cam2/events"),
         (bag / "cam1/events", bag / "cam2/events"),
-        (recorded / "cam1.h5", bag / "cam2/events"),
+        (files[0], bag / "cam2/events"),
     ):
-        assert run_sync(*cameras, *args).exit_code == 0
-        found = read_json(out)
-        assert {key for key in found | expected if found[key] != expected[key]} <= NAMES
+        assert run_sync(*cameras, *args, "--json", out).exit_code == 0
+        found.append({**read_json(out), **NAMES})
+    assert found[1:] == found[:1] * 4
 
 
 def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recorded, tmp_path):
     out, rig = tmp_path / "out.json", tmp_path / "found.yaml"
-    args = ("--rig", recorded / "rig.yaml", "--json", out, "--write-rig", rig, "--distance", 7)
-    assert run_sync(*recorded.pair, *args).exit_code == 0
+    args = (*recorded.pair, "--method", "joint", "--json", out)
+    written = ("--write-rig", rig, "--distance", 7)
+    assert run_sync(*args, "--rig", recorded / "rig.yaml", *written).exit_code == 0
     found = read_json(out)
     assert found["distance_m"] == 7.0
     T_2_1 = load_rig(rig).T_2_1
     np.testing.assert_array_equal(T_2_1[:3, :3], found["R"])
     np.testing.assert_allclose(T_2_1[:3, 3], 7.0 * np.array(found["t"]), rtol=1e-12)
     assert f"timeshift_cn_cnm1: {found['t_d_s']!r}\n" in rig.read_text()
-    known = run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out)
+    known = run_sync(*args, "--rig", rig, "--known-extrinsics")
     assert known.exit_code == 0
     assert f"as given in {rig}" in known.stdout
     again = read_json(out)
-    assert again["method"] == "tangency-known"
+    assert again["method"] == "joint-known"
     assert again["deg_per_percent_of_focals"] == [None, None]  # no pose is estimated
     np.testing.assert_allclose(again["t"], found["t"], atol=1e-12)
     # The pose that fits best is not given up: the offset stays where it was, to its deviation.
@@ -131,8 +125,8 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
 
 def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
     out = tmp_path / "out.json"
-    known = ("--known-extrinsics",), "rig_extrinsics.yaml"
-    for method, rig in ((("--method", "ssac"), "rig.yaml"), known):
+    known = ("--method", "ssac", "--known-extrinsics"), "rig_extrinsics.yaml"
+    for method, rig in ((("--method", "event_rate"), "rig.yaml"), known):
         assert run_sync(recorded.folder, *method, "--json", out).exit_code == 0
         found = read_json(out)
         args = (*recorded.pair, "--rig", recorded / rig, *method, "--json", out)
@@ -140,7 +134,7 @@ def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
         assert {**read_json(out), "seconds": 0} == {**found, "seconds": 0}
 
 
-@pytest.mark.parametrize("method", ["ssac", "albl", "zncc_e", "zncc_f", "event_rate"])
+@pytest.mark.parametrize("method", ["ssac", "zncc_f"])
 def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, recorded, tmp_path):
     out, synced = tmp_path / "out.json", tmp_path / "synced.h5"
     args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out)
@@ -157,7 +151,7 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
     assert found["status"] == "ok"
     assert found["t_d_s"] is not None
     missing = ("t_d_std_s", "covariance")
-    if method not in ("ssac", "albl"):  # what a method does not estimate is null
+    if method == "zncc_f":  # what a method does not estimate is null
         missing += ("R", "t", "n_samples", "d_avg_px")
     assert [found[key] for key in missing] == [None] * len(missing)
 
@@ -165,8 +159,8 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
 def test_no_reliable_estimate_says_why(recorded, tmp_path):
     out, synced, plot = tmp_path / "out.json", tmp_path / "synced.h5", tmp_path / "figures"
     outputs = ("--json", out, "--write-synced", synced, "--plot", plot)
-    args = ("--rig", recorded / "rig.yaml", "--search", "-1", "0.02", *outputs)
-    result = run_sync(*recorded.pair, *args)
+    args = ("--rig", recorded / "rig.yaml", "--method", "ssac", "--search", "-1", "0.02")
+    result = run_sync(*recorded.pair, *args, *outputs)
     assert result.exit_code == NO_ESTIMATE
     found = read_json(out)
     assert found["status"] == "search_bound"
@@ -210,7 +204,7 @@ def test_options_reach_the_method_and_deviations_of_the_intrinsics_widen_the_pos
 
 # --- Tracks ---
 
-SCENE, TRACKS_S = make_scene(1), 7.3  # the offset of its tracks
+SCENE, TRACKS_S = make_scene(1, duration_s=10.0), 7.3  # the offset of its tracks
 WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
 
 
@@ -231,23 +225,22 @@ def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tm
         "sync", pair / "cam1.csv", pair / "cam2.csv", "--rig", pair / "rig.yaml", *outputs
     )
     assert code == 0, err
+    assert "warning" not in err
     found = read_json(out)
     assert (found["status"], found["method"]) == ("ok", "joint")
     assert abs(found["t_d_s"] - TRACKS_S) < WIDE * found["t_d_std_s"]
     assert found["t_d_std_s"] < 2e-3  # 0.3 px at 180 px/s are 1.7 ms for one of hundreds of points
     assert rotation_angle_deg(np.array(found["R"]), SCENE.R) < 1.0
     assert angle_deg(np.array(found["t"]), SCENE.t) < 1.0
-    again = sync(pair / "cam1.csv", late, pair / "rig.yaml")
+    again = sync(pair / "cam1.csv", late, pair / "rig.yaml", search="interval")
     assert abs(again.estimate.t_d_s) < WIDE * again.estimate.t_d_std_s
 
 
 def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
     """Such an answer has a search, and nothing that a table or the network could begin with."""
-    cameras = []
-    for name in ("cam1.csv", "cam2.csv"):
-        track = load_track(pair / name)
-        cameras.append(PointTrack(track.times_s[:7], track.points_px[:7]))
-    answer = sync(*cameras, pair / "rig.yaml").answer
+    whole = (load_track(pair / name) for name in ("cam1.csv", "cam2.csv"))
+    short = [PointTrack(track.times_s[:7], track.points_px[:7]) for track in whole]
+    answer = sync(*short, pair / "rig.yaml").answer
     assert answer.estimate.status == Status.TOO_LITTLE_MOTION
     assert answer.guess is None
     assert "too_little_motion" in report_text(answer)
@@ -260,10 +253,6 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     _, _, err = run("sync", pair / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
     assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
     assert "give seconds" in err
-    code, out, err = run("sync", pair / "cam1.csv", pair / "cam2.csv", *rig, *nowhere)
-    assert code == 1
-    assert "no common time" in out
-    assert "warning" not in err
 
 
 def test_a_clock_of_pieces_may_leave_the_pose_open(pair, monkeypatch):
@@ -282,10 +271,10 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
     code, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
     assert code == 0, err
     assert "points from" in out
-    for files in ((track, recorded.pair[1]), recorded.pair):
-        result = sync(*files, recorded / "rig.yaml", "joint", search="all")
-        assert result.estimate.status == "ok"
-        assert result.estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # as for two event files
+    assert "warning" not in err
+    result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
+    assert result.status == "ok"
+    assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # as for two event files
 
 
 def test_a_track_is_made_by_the_rules_that_are_given(recorded):
@@ -300,28 +289,25 @@ def test_a_track_is_made_by_the_rules_that_are_given(recorded):
     assert other.sigmas_px.min() >= 0.2
 
 
-def test_a_track_of_several_things_comes_with_a_warning(tmp_path):
-    one, other = flight(4)[0], flight(5)[0]
-    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig_document()))
-    for name, events in (("one", one), ("two", mixed(one, other)[0])):
-        save_events_h5(tmp_path / f"{name}.h5", events, WIDTH, HEIGHT)
-        args = tmp_path / f"{name}.h5", "--rig", tmp_path / "rig.yaml"
-        code, _, err = run("track", *args, "--out", tmp_path / f"{name}.csv")
-        assert code == 0, err
-        assert ("two.h5: 2 things move at a time" in err) == (name == "two")
-        assert err.count("warning") == (name == "two")
+def test_a_track_of_several_things_comes_with_a_warning(recorded, tmp_path):
+    two = tmp_path / "two.h5"
+    save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
+    args = ("--rig", recorded / "rig.yaml", "--out", tmp_path / "two.csv")
+    code, _, err = run("track", two, *args)
+    assert code == 0, err
+    assert "two.h5: 2 things move at a time" in err
+    assert err.count("warning") == 1
 
 
-@pytest.mark.parametrize("step_s", [0.001, 0.01])
-def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path, step_s):
-    track = load_track(pair / "cam1.csv")
+def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path):
+    track, step_s = load_track(pair / "cam1.csv"), 0.01
     times_s = np.floor(track.times_s / step_s + 1e-9) * step_s
     save_track(tmp_path / "cam1.csv", replace(track, times_s=times_s))
     others = (pair / "cam2.csv", pair / "rig.yaml")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         result = sync(tmp_path / "cam1.csv", *others)
-    assert f"all times are whole {1e3 * step_s:g} ms" in str(said[0].message)
+    assert "all times are whole 10 ms" in str(said[0].message)
     assert result.estimate.t_d_std_s > step_s / 12**0.5
     assert abs(result.estimate.t_d_s - TRACKS_S) < WIDE * result.estimate.t_d_std_s
 

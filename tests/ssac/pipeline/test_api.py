@@ -229,7 +229,10 @@ WRONG = {
     "half a rig": ((ONE, OTHER, Rig(CAMERA, None)), "^camera 2: expected a ssac.Camera, got None"),
     "no such file": (("nix.h5", OTHER, RIG), r"^nix\.h5: there is no such file"),
     "one twice": ((ONE, ONE, RIG), "^one recording: given for both cameras: give each camera's"),
-    "a copy": ((ONE, ONE.copy(), RIG), "hold the same points: one is a copy of the other"),
+    "a copy on another clock": (
+        (ONE, Observation(ONE).delayed(0.02), RIG),
+        "^camera 1 and camera 2 hold the same points: one is a copy of the other",
+    ),
     "empty observation": ((Observation(None), OTHER, RIG), "^camera 1: events must be a 1-D array"),
     "a list of numbers": ((Observation([1, 2]), OTHER, RIG), "got list: build it with ssac.events"),
     "frames": (

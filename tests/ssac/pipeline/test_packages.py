@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 import ssac.pipeline.registry
 from experiments.lab.cell import CRASHED
@@ -27,7 +26,6 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS, Input, Registry, choose_method
 from ssac.track.observation import Observation
-from tests.recorded import add_frames
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
@@ -241,72 +239,40 @@ SEEN = []
 def estimate(cam1, cam2, rig, config):
     SEEN.append((cam1, cam2, rig, config, usable_events(cam1, cam2, rig, config),
                  two_views(cam1, cam2, rig, config)))
-    return Estimate("mine", t_d_s=0.05)
+    return Estimate(__name__, t_d_s=0.05)
 
-def of(kind, **says): return Method("mine", estimate, kind, "looks", **says)
+def of(kind, **says): return Method(__name__, estimate, kind, "looks", **says)
 
 TRACKS, RATES, FRAMES = (of(kind) for kind in Input)
 KNOWN = of(Input.TRACKS, needs_extrinsics=True)
 """
 
 
-@pytest.fixture
-def looking(site, monkeypatch):
-    """Install a method that notes what it is given; of another object by its name."""
-
-    def install_one(name):
-        install(site, "looking", f"mine = looking:{name}", LOOKING)
-        for module in ("ssac.pipeline.registry", "experiments.lab.scored"):
-            monkeypatch.setattr(f"{module}.METHODS", Registry())
-        return import_module("looking").SEEN
-
-    return install_one
-
-
-@pytest.mark.parametrize("name", ["TRACKS", "FRAMES", "KNOWN"])
-def test_only_who_asks_for_the_extrinsics_is_shown_them(looking, recorded, tmp_path, name):
-    """By the command line, by Python, in a study, and in each pair of three cameras."""
-    seen, rig = looking(name), recorded / "rig_extrinsics.yaml"
-    code, _, err = run("sync", *recorded.pair, "--rig", rig, "--method", "mine")
-    assert code == 0, err
-    ssac.sync(*recorded.pair, rig, "mine")
-    loaded = load_rig(rig)
-    cameras = [Recording(Path(file), loaded.cam1, "it") for file in recorded.pair]
-    assert scored_row(CELL, Chain(cameras, loaded, Config())).status == "ok"
-    three, third = yaml.safe_load(rig.read_text()), tmp_path / "third.h5"
-    three["cam2"] = three["cam1"]
-    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(three))
-    save_almost(recorded / "cam1.h5", third, 0)
-    add_frames(third, 0.0)
-    ssac.sync([*recorded.pair, third], tmp_path / "rig.yaml", method="mine")
-    assert len(seen) == 6
-    for _, _, rig_shown, _, _, views in seen:
-        assert (rig_shown.T_2_1 is not None) == (views.rig.T_2_1 is not None) == (name == "KNOWN")
-
-
-def save_almost(file, other, later_us):
-    """Save a camera's events without some, or else they are refused as a copy."""
-    events = load_events(file).events.copy()
-    events["t"] += later_us
-    save_events_h5(other, np.delete(events, slice(None, None, 100)), WIDTH, HEIGHT)
-
-
-def test_what_a_method_gets_is_clean_and_stays_so_and_has_frames_if_it_asks(looking, recorded):
-    seen, rig = looking("TRACKS"), load_rig(recorded / "rig.yaml")
+def test_what_a_method_gets_is_clean_and_stays_so_and_more_only_if_it_asks(
+    site, recorded, monkeypatch
+):
+    names = ("tracks", "frames", "known")
+    for name in names:
+        install(site, name, f"{name} = {name}:{name.upper()}", LOOKING)
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
+    rig = load_rig(recorded / "rig_extrinsics.yaml")
     files = (Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2))
     chain = Chain([*files], rig)
-    chain.estimate("mine")
-    ((cam1, cam2, _, config, events, views),) = seen
-    assert (cam1, cam2) == (chain.clean(0), chain.clean(1))
-    assert events[0] is cam1.events
-    assert events[1] is cam2.events
-    assert views.motion1.times_us is chain.views().motion1.times_us
-    assert config.interval_s == (-1.0, 1.0)
-    assert (cam1.frames, cam1.frame_times_s) == (None, None)
-    seen = looking("FRAMES")
-    ssac.sync(*recorded.pair, recorded / "rig.yaml", "mine")
-    for camera in seen[-1][:2]:
-        assert len(camera.frames) == len(camera.frame_times_s) == 400
+    for name in names:
+        chain.estimate(name)
+        ((cam1, cam2, rig_shown, config, events, views),) = import_module(name).SEEN
+        is_known = name == "known"
+        assert (rig_shown.T_2_1 is not None) == (views.rig.T_2_1 is not None) == is_known
+        if name == "frames":
+            assert [len(one.frames) for one in (cam1, cam2)] == [400, 400]
+            assert [len(one.frame_times_s) for one in (cam1, cam2)] == [400, 400]
+            continue
+        assert (cam1, cam2) == (chain.clean(0), chain.clean(1))
+        assert events[0] is cam1.events
+        assert events[1] is cam2.events
+        assert views.motion1.times_us is chain.views().motion1.times_us
+        assert config.interval_s == (-1.0, 1.0)
+        assert (cam1.frames, cam1.frame_times_s) == (None, None)
 
 
 def test_the_version_follows_every_source_file(site):
@@ -353,7 +319,10 @@ def code_blocks(text: str, language: str) -> list[str]:
 def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path):
     """Both cameras see the same, so that the image speeds are equal at the true offset."""
     folder, _, _ = example
-    save_almost(recorded / "cam1.h5", tmp_path / "later.h5", 250_000)
+    events = load_events(recorded / "cam1.h5").events
+    events["t"] += 250_000
+    few = np.delete(events, slice(None, None, 100))  # or else they are refused as a copy
+    save_events_h5(tmp_path / "later.h5", few, WIDTH, HEIGHT)
     out = tmp_path / "out.json"
     args = (recorded / "cam1.h5", tmp_path / "later.h5", "--rig", recorded / "rig.yaml")
     options = ("--method", "track_speed", "--json", out)

@@ -82,6 +82,12 @@ def test_an_offset_is_explained_where_it_holds_alone(answer):
     assert text.startswith("no pose        degenerate_pose: so it is\ntime offset    t_d = ")
     assert "camera 2's clock shows" in text
     assert "rotation" not in text
+    for sign, words in (
+        (1, "more than camera 1's; subtract it from"),
+        (-1, "less than camera 1's; add it to"),
+    ):
+        text, _ = told(answer, t_d_s=0.05 * sign, t_d_std_s=1e-3)
+        assert f"shows 50.000 ms {words} camera 2's timestamps" in unfolded(text)
     assert report["t_d_is_reliable"] is True
     assert report["unobservable"] == direction.tolist()
 
