@@ -16,12 +16,7 @@ from ssac.methods.method import all_summaries, our_methods
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS, Input, choose_method
 from ssac.track.clean import clean
 from tests.ssac.cluttered import noisy_flight
-from tests.ssac.synthetic import (
-    CAMERA,
-    angle_deg,
-    make_scene,
-    rotation_angle_deg,
-)
+from tests.ssac.synthetic import CAMERA, angle_deg, make_scene, rotation_angle_deg
 
 T_D_S = 0.05
 NAMES = [method.name for method in OURS]
@@ -75,9 +70,9 @@ def test_a_name_and_known_extrinsics_choose_a_method():
         choose_method("scac")
 
 
-@pytest.mark.parametrize("delay_s", [-0.3, 0.005])
 @pytest.mark.parametrize("name", [name for name in NAMES if METHODS[name].follows_clock])
-def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, raw, chain):
+def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, raw, chain):
+    delay_s = -0.295  # by no whole number of frames
     delayed = Config(interval_s=(-0.4 + delay_s, 0.5 + delay_s))
     expected = chain.under(Config(interval_s=(-0.4, 0.5))).estimate(name).delayed(delay_s)
     estimate = Chain([raw[0], raw[1].delayed(delay_s)], RIG, delayed).estimate(name)
@@ -90,12 +85,11 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, ra
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
 
 
-@pytest.mark.parametrize("shift_s", [-0.3, 0.3137])  # the last one by no whole step of any search
 @pytest.mark.parametrize("name", NAMES)
-def test_every_method_answers_alike_wherever_the_interval_lies(name, shift_s, chain):
+def test_every_method_answers_alike_wherever_the_interval_lies(name, chain):
     centred, moved = (
         chain.under(Config((T_D_S - 1.0 + by_s, T_D_S + 1.0 + by_s))).estimate(name)
-        for by_s in (0.0, shift_s)
+        for by_s in (0.0, 0.3137)  # by no whole step of any search
     )
     assert (centred.status, moved.status) == (Status.OK, Status.OK)
     # Counts of events jump at the candidates, which are others: 10 us are the search's resolution.

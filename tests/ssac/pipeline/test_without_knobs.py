@@ -39,23 +39,27 @@ def events():
     return make_events(SCENE, 1, T_D_S, 20_000.0, 0.1)
 
 
-def longer(camera, share):
-    """Give a camera with focal lengths that are longer by a share, and nothing stated of them."""
-    K_longer = camera.K.copy()
-    K_longer[[0, 1], [0, 1]] *= 1.0 + share
-    return Camera(K_longer, camera.width, camera.height)
+@pytest.fixture(scope="module")
+def right(events):
+    """What is found with the true rig."""
+    return ssac.sync(*events, [CAMERA, CAMERA]).estimate
 
 
-def with_centre(pu_px, pv_px):
-    """Give a camera with another principal point, and nothing stated of it."""
-    return Camera(np.array([[K[0, 0], 0.0, pu_px], [0.0, K[1, 1], pv_px], K[2]]), WIDTH, HEIGHT)
+def camera_of(fu_px, fv_px, pu_px=K[0, 2], pv_px=K[1, 2]):
+    """Give a camera with nothing stated of its intrinsics."""
+    return Camera(np.array([[fu_px, 0.0, pu_px], [0.0, fv_px, pv_px], K[2]]), WIDTH, HEIGHT)
+
+
+def longer(share):
+    """Give a camera with focal lengths that are longer by a share."""
+    return camera_of(*(K[[0, 1], [0, 1]] * (1.0 + share)))
 
 
 @pytest.mark.parametrize(
     ("later_s", "skew_ppm", "duration_s"),
     [
-        *((later_s, 0.0, 8.0) for later_s in (1.5, -4.0, 3600.0)),
-        *((0.0, skew_ppm, 8.0) for skew_ppm in (1000.0, -3000.0)),
+        *((later_s, 0.0, 8.0) for later_s in (-4.0, 3600.0)),
+        (0.0, 1000.0, 8.0),
         (42.0, 3000.0, 16.0),
         (0.0, -2400.0, 5.0),  # 6 ms at both ends, with which a skew of 40 ppm fits unnoticed
     ],
@@ -100,40 +104,41 @@ def test_few_events_are_enough_where_there_is_no_noise():
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
 
 
-@pytest.mark.parametrize("share", [0.05, 0.1, -0.1, 0.3, -0.5, 1.0])
-def test_no_wrong_focal_length_is_believed(events, share):
-    estimate = ssac.sync(*events, [longer(CAMERA, share), UNSTATED]).estimate
-    if estimate.status == Status.OK:  # as of a calibration that is less certain
-        assert rotation_angle_deg(estimate.R, SCENE.R) < 4.0 * estimate.r_std_deg
-
-
-def test_a_wrong_focal_length_is_named(events):
-    result = ssac.sync(*events, [longer(CAMERA, 0.3), UNSTATED])
-    assert "camera 1's focal length wants to be 23 % shorter" in result.note  # 1 / 1.3
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [
+        *((share, "") for share in (0.05, -0.1, -0.5)),
+        (0.3, "camera 1's focal length wants to be 23 % shorter"),  # 1 / 1.3
+    ],
+)
+def test_no_wrong_focal_length_is_believed_and_a_large_error_is_named(events, share, said):
+    result = ssac.sync(*events, [longer(share), UNSTATED])
+    if result.status == Status.OK:  # as of a calibration that is less certain
+        assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
+    assert said in result.note
 
 
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
-    result = ssac.sync(*events, [longer(CAMERA, 0.6), UNSTATED])
+    result = ssac.sync(*events, [longer(0.6), UNSTATED])
     assert result.status == Status.DEGENERATE_POSE
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s < 1e-3
     assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to a few
 
 
 def test_exchanged_intrinsics_are_named_beside_the_offset():
-    scene = replace(SCENE, cam2=longer(CAMERA, 0.6))
-    exchanged = [longer(CAMERA, 0.6), UNSTATED]
+    scene = replace(SCENE, cam2=longer(0.6))
+    exchanged = [longer(0.6), UNSTATED]
     result = ssac.sync(*make_events(scene, 1, T_D_S, 20_000.0, 0.1), exchanged)
     assert result.status == Status.DEGENERATE_POSE
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
     assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
 
 
-def test_intrinsics_in_doubt_widen_the_deviations(events):
-    sure = ssac.sync(*events, [CAMERA, CAMERA])
-    less = ssac.sync(*events, [longer(CAMERA, 0.02), UNSTATED])
+def test_intrinsics_in_doubt_widen_the_deviations(events, right):
+    less = ssac.sync(*events, [longer(0.02), UNSTATED])
     assert less.status == Status.OK
     assert "what is seen contradicts the rig: " in less.note
-    assert less.estimate.r_std_deg > 1.5 * sure.estimate.r_std_deg
+    assert less.estimate.r_std_deg > 1.5 * right.r_std_deg
 
 
 @pytest.mark.parametrize(
@@ -169,28 +174,26 @@ def test_what_is_too_short_is_to_be_recorded_longer(seed):
     assert "record longer" in ssac.sync(*brief, [CAMERA, CAMERA]).estimate.reason
 
 
-def test_it_is_said_how_far_focal_lengths_turn_the_pose(events):
-    right = ssac.sync(*events, [CAMERA, CAMERA]).estimate
-    wrong = ssac.sync(*events, [longer(CAMERA, 0.02), longer(CAMERA, 0.02)]).estimate
+def test_it_is_said_how_far_focal_lengths_turn_the_pose(events, right):
+    wrong = ssac.sync(*events, [longer(0.02), longer(0.02)]).estimate
     turned_deg = rotation_angle_deg(wrong.R, right.R)
     assert 0.02 * right.per_focal_deg[0] == pytest.approx(turned_deg, rel=0.2)  # to first order
 
 
 @pytest.mark.parametrize("focal", [0.008, 8.0, 1e6])
 def test_focal_lengths_that_are_no_camera_s_are_refused(events, focal):
-    K_wrong = np.array([[focal, 0.0, 173.0], [0.0, focal, 130.0], [0.0, 0.0, 1.0]])
     with pytest.raises(ssac.SsacError, match="give them in pixels of this resolution"):
-        ssac.sync(*events, [Camera(K_wrong, WIDTH, HEIGHT), CAMERA])
+        ssac.sync(*events, [camera_of(focal, focal), CAMERA])
 
 
 def test_a_principal_point_outside_of_the_image_is_told(events):
     few = [one[:100] for one in events]  # enough for what only looks at the rig
-    note = ssac.sync(*few, [with_centre(473.0, 130.0), UNSTATED]).note
+    note = ssac.sync(*few, [camera_of(200.0, 200.0, 473.0), UNSTATED]).note
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
 
 
 def test_a_principal_point_that_is_exchanged_is_refused_unless_its_deviation_is_stated(events):
-    few, cameras = [one[:100] for one in events], [UNSTATED, with_centre(130.0, 173.0)]
+    few, cameras = [one[:100] for one in events], [UNSTATED, camera_of(200.0, 200.0, 130.0, 173.0)]
     with pytest.raises(ssac.SsacError, match=r"camera 2: .*\(173, 130\) px near it: exchange"):
         ssac.sync(*few, cameras)
     assert ssac.sync(*few, cameras, centre_std_px=1.0).status != Status.OK  # too few, but tried
