@@ -201,22 +201,6 @@ def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
     assert capsys.readouterr().err == ""
 
 
-@pytest.fixture
-def said(capsys, monkeypatch):
-    """Do things of equal length, one after the other; give the lines."""
-
-    def lines(total, step_s, n_done, is_brief):
-        now_s = [0.0]
-        monkeypatch.setattr("ssac.cli.progress.time.monotonic", lambda: now_s[0])
-        with progress(total, "flights", is_brief) as advance:
-            for n in range(1, n_done + 1):
-                now_s[0] += step_s
-                advance(n)
-        return capsys.readouterr().err.splitlines()
-
-    return lines
-
-
 @pytest.mark.parametrize(
     ("total", "step_s", "n_done", "is_brief", "told"),
     [
@@ -227,8 +211,16 @@ def said(capsys, monkeypatch):
         (100, 1.0, 100, True, range(30, 101, 10)),
     ],
 )
-def test_lines_come_at_each_tenth_and_every_30_s(total, step_s, n_done, is_brief, told, said):
-    lines = said(total, step_s, n_done, is_brief)
+def test_lines_come_at_each_tenth_and_every_30_s(
+    total, step_s, n_done, is_brief, told, capsys, monkeypatch
+):
+    now_s = [0.0]
+    monkeypatch.setattr("ssac.cli.progress.time.monotonic", lambda: now_s[0])
+    with progress(total, "flights", is_brief) as advance:
+        for n in range(1, n_done + 1):
+            now_s[0] += step_s
+            advance(n)
+    lines = capsys.readouterr().err.splitlines()
     assert [line.split(" done")[0] for line in lines] == [f"flights: {n} of {total}" for n in told]
     if total == 300:
         assert lines[0] == "flights: 30 of 300 done after 00:15, 02:15 left"
