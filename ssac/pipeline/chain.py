@@ -277,12 +277,10 @@ class Chain:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        is_mended = (
-            not mended.misfit and mended.estimate.against <= pair.config.rules.verdict.in_doubt
-        )
-        if mended.estimate.status != Status.OK or not is_mended:
-            return answer
-        return answer.because(f"all agrees if {hint}")
+        fits = mended.estimate.against <= pair.config.rules.verdict.in_doubt
+        if mended.estimate.status == Status.OK and fits and not mended.misfit:
+            return answer.because(f"all agrees if {hint}")
+        return answer
 
     def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
         """Answer with the one object that all cameras saw, for methods that look at one."""
@@ -397,8 +395,7 @@ class Chain:
         seen, camera = self._framed(k, method), self.rig.cameras[k]
         if isinstance(seen, Clean):
             return seen
-        fields = {name: getattr(seen, name) for name in Observation.__dataclass_fields__}
-        return Clean(**fields, camera=camera, n_recorded=len(seen.events))
+        return Clean(**vars(seen), camera=camera, n_recorded=len(seen.events))
 
     def _clean(self, k: int) -> Clean:
         if self._undelayed is not None:

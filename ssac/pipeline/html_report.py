@@ -23,8 +23,7 @@ from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
 from ssac.pipeline.report import rows_of
-from ssac.pipeline.scene import scene_of_network, scene_of_two
-from ssac.pipeline.streams import Seen, as_recorded, streams
+from ssac.pipeline.streams import Seen, as_recorded, scene_of_network, scene_of_two, streams
 
 Answers = Mapping[Pair, Answer]
 

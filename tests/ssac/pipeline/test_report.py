@@ -34,8 +34,7 @@ from ssac.pipeline.plots import (
 )
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_text
-from ssac.pipeline.scene import scene_of_two
-from ssac.pipeline.streams import streams
+from ssac.pipeline.streams import scene_of_two, streams
 from ssac.search.all_offsets import AllOffsets, Guess
 from ssac.search.start import Start
 from ssac.track.clean import ObjectsUsed
