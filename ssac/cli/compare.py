@@ -2,21 +2,22 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from ssac.cli.options import JSON_FILE, LEVER_ARM, Option, argument, named, number, with_options
+from ssac.cli.options import JSON_FILE, LEVER_ARM, argument, named, number
 from ssac.errors import SsacError
 
 SCALES = ("unknown", "known")
 
-OPTIONS = {
-    "scale": Option(
-        named("|".join(SCALES), "known: the estimate is in metres."), type=str, default=SCALES[0]
-    ),
-    "max_shift": Option(
+
+def compare_command(
+    estimate: Annotated[Path, argument("ESTIMATE", "Estimated path.")],
+    truth: Annotated[Path, argument("TRUTH", "Reference path, such as RTK.")],
+    scale: Annotated[str, named("|".join(SCALES), "known: the estimate is in metres.")] = SCALES[0],
+    max_shift: Annotated[
+        float | None,
         number(
             "Largest shift of the truth's clock to try, either way.",
             0,
@@ -24,26 +25,16 @@ OPTIONS = {
             "seconds",
             default_words="all that leave enough common time",
         ),
-        type=float | None,
-    ),
-    "rate_std": Option(
+    ] = None,
+    rate_std: Annotated[
+        float,
         number(
             "Prior standard deviation of the clocks' relative rate; 0: same rate.", 0, 10_000, "ppm"
         ),
-        type=float,
-        default=50.0,
-    ),
-    "lever_arm": LEVER_ARM,
-    "plot": Option(named("FILE", "Figure to write (.png, .pdf, .svg)."), type=Path | None),
-    "json_file": JSON_FILE,
-}
-
-
-@with_options(OPTIONS)
-def compare_command(
-    estimate: Annotated[Path, argument("ESTIMATE", "Estimated path.")],
-    truth: Annotated[Path, argument("TRUTH", "Reference path, such as RTK.")],
-    **options: Any,
+    ] = 50.0,
+    lever_arm: Annotated[tuple[float, float, float] | None, LEVER_ARM.info] = None,
+    plot: Annotated[Path | None, named("FILE", "Figure to write (.png, .pdf, .svg).")] = None,
+    json_file: Annotated[Path | None, JSON_FILE.info] = None,
 ) -> None:
     """Say how far a path is from the truth, at equal times and as a shape.
 
@@ -55,16 +46,13 @@ def compare_command(
     from ssac.network.tum import read_path
     from ssac.pipeline.report import text_of
 
-    given = SimpleNamespace(**options)
-    plot, json_file = given.plot, given.json_file
-    if given.scale not in SCALES:
-        raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {given.scale!r}")
+    if scale not in SCALES:
+        raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
     check_targets((plot, json_file), (estimate, truth))
     if plot is not None and plot.suffix.lower() not in FIGURE_SUFFIXES:
         raise SsacError(f"{plot}: a figure is a file ending in {', '.join(FIGURE_SUFFIXES)}")
     paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
-    of_options = given.scale == "unknown", given.max_shift, given.rate_std, given.lever_arm
-    found = compare(*paths, *of_options)
+    found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
     if json_file is not None:
         text = json.dumps(found.figures(), indent=1, allow_nan=False) + "\n"
         with whole_file(json_file) as temporary:
