@@ -115,7 +115,8 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
     strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
     rig = tmp_path / "found.yaml"
-    options = ("--rtk", rtk, "--trajectory", path, "--json", out, "--write-rig", rig)
+    outputs = ("--trajectory", path, "--json", out, "--write-rig", rig)
+    options = ("--rtk", rtk, *outputs, "--search", -1, 1)  # strangers are 1000 s apart
     code, _, err = sync(files, [*files.cameras(1), *strangers], *options)
     assert code == 1, err
     assert f"not written: {path}" in err
