@@ -28,7 +28,7 @@ from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, less_sure, quantum_s
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
-from ssac.pipeline.opened import IMAGES, MEANS, Recording, Source, cameras_of, check_two, kind_of
+from ssac.pipeline.opened import IMAGES, MEANS, Source, cameras_of, check_two, kind_of
 from ssac.pipeline.registry import choose_method, load
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
@@ -79,7 +79,7 @@ class Chain:
         self._kept: dict[Hashable, Any] = {}
         self._undelayed: tuple[Chain, float] | None = None
         for k, source in enumerate(self.sources, start=1):
-            if not isinstance(source, (Observation, Recording)):
+            if not isinstance(source, Source):
                 raise SsacError(f"camera {k}: expected a ssac.Observation, got {kind_of(source)}")
         if not 2 <= len(self.sources) == len(self.rig):
             raise SsacError(
