@@ -144,10 +144,7 @@ class NetworkResult:
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write all that is known as an HTML page that needs no other file; give its path.
-
-        The command that led to the result is shown on it, where it is given.
-        """
+        """Write a page as `Result.report` does, on all pairs and their network; give its path."""
         from ssac.pipeline.html_report import save_report
 
         return save_report(Path(path), self.pairs, self.network, self.summary(), command)
