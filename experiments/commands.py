@@ -30,7 +30,7 @@ from experiments.lab.verify import Finding, file_findings, found, shared_finding
 from experiments.paper.comparison import PUBLISHED_SHA256
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
-from ssac.cli.options import number
+from ssac.cli.options import argument, flag, named, number
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable
 
@@ -44,13 +44,11 @@ _SEEDS = 2**32
 def study_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            help="Studies to run; --list names them. One of your own data has these behind it.",
-            metavar="NAME",
-            show_default=False,
+        argument(
+            "NAME", "Studies to run; --list names them. One of your own data has these behind it."
         ),
     ] = None,
-    list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
+    list_them: Annotated[bool, flag("list", "List the studies.")] = False,
 ) -> Chosen:
     """Run studies; all runs and their summary as CSV, and a figure each."""
     known = {
@@ -74,10 +72,8 @@ def study_command(
 def ablate_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            help="Ablations to run, such as window, or TOML files of your own.  [default: all]",
-            metavar="NAME",
-            show_default=False,
+        argument(
+            "NAME", "Ablations to run, such as window, or TOML files of your own.  [default: all]"
         ),
     ] = None,
 ) -> Chosen:
@@ -87,15 +83,9 @@ def ablate_command(
 
 
 def sweep_command(
-    config: Annotated[
-        Path,
-        typer.Argument(
-            help="TOML file of the grid (docs/sweeps.md).", metavar="CONFIG", show_default=False
-        ),
-    ],
+    config: Annotated[Path, argument("CONFIG", "TOML file of the grid (docs/sweeps.md).")],
     out: Annotated[
-        Path | None,
-        typer.Option(help="CSV to write.  [default: results/<config>.csv]", metavar="FILE"),
+        Path | None, named("FILE", "CSV to write.  [default: results/<config>.csv]")
     ] = None,
     shard: ShardOption = "1/1",
     workers: WorkersOption = -1,
@@ -114,10 +104,8 @@ def sweep_command(
 
 
 def merge_command(
-    out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
-    shards: Annotated[
-        list[Path], typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False)
-    ],
+    out: Annotated[Path, argument("OUT", "CSV to write.")],
+    shards: Annotated[list[Path], argument("SHARD", "CSVs of all shards.")],
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:
     """Join the CSVs of all shards of a sweep or study: the same bytes as in one piece.
@@ -143,12 +131,10 @@ def merge_command(
 
 
 def numbers_command(
-    root: Annotated[
-        Path, typer.Option(help="Folder with README.md, docs/ and results/.", metavar="FOLDER")
-    ] = Path("."),
-    check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; fail if a number is stale.")
-    ] = False,
+    root: Annotated[Path, named("FOLDER", "Folder with README.md, docs/ and results/.")] = Path(
+        "."
+    ),
+    check: Annotated[bool, flag("check", "Write nothing; fail if a number is stale.")] = False,
 ) -> None:
     """Write the numbers that README.md and docs/ quote, as they are in results/ now."""
     if check:
@@ -163,9 +149,7 @@ def numbers_command(
 
 
 def verify_command(
-    results: Annotated[
-        Path, typer.Option(help="Folder with the results.", metavar="FOLDER")
-    ] = Path("results"),
+    results: Annotated[Path, named("FOLDER", "Folder with the results.")] = Path("results"),
     recordings: Annotated[
         int, number("Recordings to simulate and run again.", 0, 10_000, metavar="COUNT")
     ] = N_RECORDINGS,
@@ -174,13 +158,10 @@ def verify_command(
         number("Seed of the draw of those recordings.", 0, _SEEDS - 1, default_words="a new one"),
     ] = None,
     slow: Annotated[
-        bool, typer.Option("--slow", help="Draw from studies that take minutes a recording too.")
+        bool, flag("slow", "Draw from studies that take minutes a recording too.")
     ] = False,
     only: Annotated[
-        str | None,
-        typer.Option(
-            help="Draw from this study alone, such as tables.", metavar="NAME", show_default="all"
-        ),
+        str | None, named("NAME", "Draw from this study alone, such as tables.", "all")
     ] = None,
     workers: WorkersOption = -1,
 ) -> None:

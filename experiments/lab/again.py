@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import CRASHED, AnyCell
+from experiments.lab.cell import CRASHED
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.study import CELL, How, Runs, Study, runs_text
@@ -87,30 +87,24 @@ def recomputed(
     """Make the runs on the drawn recordings again in an empty folder: one finding for each."""
     findings = []
     for study in dict.fromkeys(study for study, _ in drawn):
+        kept = study.runs
+        assert kept is not None
         tasks = [task for whose, task in drawn if whose is study]
         cells = [cell for task in tasks for cell in task.cells]
-        outcome = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure)
-        rows = rows_again(study, outcome.runs, cells)
+        runs = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure).runs
+        number = {id(cell): at for at, cell in enumerate(cells_of(study))}
+        runs.insert(0, CELL, [number[id(cell)] for cell in cells])
+        rows = table_of_texts(runs_text(kept, runs))
         for task in tasks:
             mine, rows = rows[: len(task.cells)], rows[len(task.cells) :]
-            flight = dict(task.cells[0].columns)
-            where = ", ".join(f"{key} {value}" for key, value in flight.items())
-            what = f"{_runs(study).file}: {len(mine)} runs on the recording of {where}"
-            findings.append(found(what, partial(compared, mine, study, results)))
+            where = ", ".join(f"{key} {value}" for key, value in task.cells[0].columns.items())
+            what = f"{kept.file}: {len(mine)} runs on the recording of {where}"
+            findings.append(found(what, partial(_compared, mine, study, kept, results)))
     return findings
 
 
-def rows_again(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> pd.DataFrame:
-    """Turn new runs of some of a study's cells into rows of its file, as texts."""
-    number = {id(cell): at for at, cell in enumerate(cells_of(study))}
-    runs = runs.copy()
-    runs.insert(0, CELL, [number[id(cell)] for cell in cells])
-    return table_of_texts(runs_text(_runs(study), runs))
-
-
-def compared(rows: pd.DataFrame, study: Study, results: Results) -> tuple[str, ...]:
+def _compared(rows: pd.DataFrame, study: Study, kept: Runs, results: Results) -> tuple[str, ...]:
     """Compare rows made again with the committed ones."""
-    kept = _runs(study)
     committed = table_of_texts(results.text(kept.file))
     return row_faults(rows, committed, measured_by(study), kept)
 
@@ -135,16 +129,16 @@ def row_faults(
             faults.append(f"{where}: no such run is committed")
         elif row["status"] == CRASHED:
             faults.append(f"{where}: crashed: {row['reason']}")
-        else:
-            faults += [f"{where}: {one}. {row['reason']}"
-                       for one in _unlike(row, theirs, measured, kept)][:1]  # fmt: skip
+        elif unlike := _unlike(row, theirs, measured, kept):
+            faults.append(f"{where}: {unlike}. {row['reason']}")
     return tuple(faults)
 
 
 def _unlike(
     row: Mapping[Any, str], theirs: Mapping[Any, str], measured: Collection[str], kept: Runs
-) -> list[str]:
-    found, method = [], METHODS.get(row.get("method", DEFAULT))
+) -> str:
+    """Say what differs first; nothing where all is alike."""
+    method = METHODS.get(row.get("method", DEFAULT))
     slack = BY_BODY if method is not None and method.needs_events else 0.0
     for name in dict.fromkeys(["status", *theirs, *row]):
         mine, other = (str(one.get(name, "no column")) for one in (row, theirs))
@@ -155,8 +149,8 @@ def _unlike(
             else _alike(mine, other, is_measured, slack, kept.digits)
         )
         if not is_alike:
-            found.append(f"{name} is {mine}, committed: {other}")
-    return found
+            return f"{name} is {mine}, committed: {other}"
+    return ""
 
 
 def _alike(mine: str, other: str, is_measured: bool, slack: float, digits: int) -> bool:
@@ -193,8 +187,3 @@ def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
         if all(sim.render.renderer == "native" for sim, _ in task.recordings)
     ]
     return [tasks[index] for index in generator.permutation(len(tasks))]
-
-
-def _runs(study: Study) -> Runs:
-    assert study.runs is not None
-    return study.runs

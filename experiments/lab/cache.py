@@ -33,7 +33,7 @@ from filelock import SoftFileLease, Timeout
 from numpy.typing import NDArray
 
 from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
-from experiments.lab.results import sha256
+from experiments.lab.results import save_text, sha256
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
@@ -134,9 +134,7 @@ class Cache:
         path = self._run_path(key)
         if path.exists():
             return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
-            temporary.write_text(text_of_row(row), encoding="utf-8")
+        save_text(path, text_of_row(row))
 
     def claim_of_runs(self, recordings: str) -> Path:
         """Name the lock of all runs on some recordings, as `task.recordings_key` names these."""
@@ -257,8 +255,7 @@ def recording_bytes(config: SimConfig) -> int:
 
 def save_sums(folder: Path) -> None:
     """Note the checksums of a folder's files beside it."""
-    with whole_file(_sums_path(folder)) as temporary:
-        temporary.write_text(json.dumps(_sums(folder)), encoding="utf-8")
+    save_text(_sums_path(folder), json.dumps(_sums(folder)))
 
 
 def is_sound(folder: Path) -> bool:

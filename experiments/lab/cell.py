@@ -4,9 +4,9 @@ A cell is one run of anything: a method on a flight, a variant, a comparison. On
 row; a cell that cannot be measured gives a row with a status and a reason.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Any
 
 from sim.recording import SimConfig
 
@@ -22,29 +22,13 @@ Flight = tuple[SimConfig, int]
 Rows = list[dict[str, Any]]
 
 
-class AnyCell(Protocol):
-    """One run: a frozen dataclass with these properties."""
-
-    @property
-    def recordings(self) -> tuple[Flight, ...]:
-        """Flights that it is measured on: cells of the same ones share a task."""
-
-    @property
-    def columns(self) -> Mapping[str, Any]:
-        """Columns of its row in the runs' file that say which run it is."""
-
-    @property
-    def inputs(self) -> Any:
-        """Everything beside recordings and code that its row depends on (`cache.content`)."""
-
-
 @dataclass(frozen=True)
 class PlainCell:
     """One run on no recording: its fields are its inputs, words and numbers its columns too."""
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
-        """Flights that it is measured on."""
+        """Flights that it is measured on: cells of the same ones share a task."""
         return ()
 
     @property
@@ -54,12 +38,12 @@ class PlainCell:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns of its row that say which run it is."""
+        """Columns of its row in the runs' file that say which run it is."""
         return {name: v for name, v in self.own.items() if isinstance(v, str | int | float)}
 
     @property
     def inputs(self) -> Any:
-        """Everything beside recordings and code that its row depends on."""
+        """Everything beside recordings and code that its row depends on (`cache.content`)."""
         return tuple(self.own.values())
 
 

@@ -21,6 +21,7 @@ from experiments.lab.study import WHOLE, How, Options, Study, check_reads, parse
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
+from ssac.cli.options import argument, named
 from ssac.errors import PluginError, SsacError
 
 T = TypeVar("T")
@@ -45,16 +46,12 @@ WorkersOption = Annotated[
     int, typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some)
 ]
 SchedulerOption = Annotated[
-    str, typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS")
+    str, named("ADDRESS", "Run on a Dask cluster: host:port of its scheduler.")
 ]
-OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")]
-CacheOption = Annotated[
-    Path, typer.Option(help="Folder that keeps finished recordings and runs.", metavar="FOLDER")
-]
+OutOption = Annotated[Path, named("FOLDER", "Folder for the results.")]
+CacheOption = Annotated[Path, named("FOLDER", "Folder that keeps finished recordings and runs.")]
 
-RendererOption = Annotated[
-    str, typer.Option(help=f"Renderer: {' or '.join(RENDERERS)} (OpenGL).", metavar="NAME")
-]
+RendererOption = Annotated[str, named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL).")]
 CheckOption = Annotated[
     bool,
     typer.Option(
@@ -63,10 +60,7 @@ CheckOption = Annotated[
     ),
 ]
 ShardOption = Annotated[
-    str,
-    typer.Option(
-        help="Run only part I of N and write its runs; join them with `ssac merge`.", metavar="I/N"
-    ),
+    str, named("I/N", "Run only part I of N and write its runs; join them with `ssac merge`.")
 ]
 
 ALL_OPTIONS: Mapping[str, Parameter] = {
@@ -90,13 +84,9 @@ def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable
     """Make the command that runs some studies, by the part of it that each is."""
     studies = [study for some in parts.values() for study in some]
     options = {k: v for study in studies for k, v in signature(study.cells).parameters.items()}
-    argument = typer.Argument(
-        help=f"Parts to run: {', '.join(parts)}.  [default: all]",
-        metavar="PART",
-        show_default=False,
-    )
-    named = Parameter(
-        "parts", _KEYWORD, annotation=Annotated[list[str] | None, argument], default=None
+    part = argument("PART", f"Parts to run: {', '.join(parts)}.  [default: all]")
+    chosen_parts = Parameter(
+        "parts", _KEYWORD, annotation=Annotated[list[str] | None, part], default=None
     )
 
     def choose(**given: Any) -> Chosen:
@@ -104,7 +94,7 @@ def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable
         return [study for part in some for study in part], given
 
     own = [one.replace(kind=_KEYWORD) for one in options.values()]
-    choose.__signature__ = Signature([named, *own] if len(parts) > 1 else own)  # type: ignore[attr-defined]
+    choose.__signature__ = Signature([chosen_parts, *own] if len(parts) > 1 else own)  # type: ignore[attr-defined]
     choose.__doc__ = help_text
     alone = all(study.how is How.ALONE for study in studies)
     return running(choose, ("out", "cache") if alone else tuple(ALL_OPTIONS))

@@ -11,8 +11,8 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 from experiments.lab.code import package_versions
+from experiments.lab.results import PROVENANCE, save_text
 from sim.render.gl_context import GLContext
-from ssac.files.whole_file import whole_file
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh",
              "pandas", "matplotlib", "pillow")  # fmt: skip
@@ -84,5 +84,4 @@ def provenance(
 
 def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
     """Write a provenance that is made already beside a result."""
-    with whole_file(path.with_suffix(".provenance.json")) as temporary:
-        temporary.write_text(json.dumps(plain(content), indent=1) + "\n")
+    save_text(path.with_suffix(PROVENANCE), json.dumps(plain(content), indent=1) + "\n")

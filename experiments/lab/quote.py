@@ -13,9 +13,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.results import PROVENANCE, Results, save_text
 from ssac.errors import SsacError
-from ssac.files.whole_file import whole_file
 
 Numbers = Mapping[str, Callable[[Results], str]]
 """By name: the text as it stands in a page."""
@@ -45,8 +44,7 @@ def rewrite_numbers(root: Path, numbers: Numbers) -> list[Path]:
             end = match.end("text")
         after += before[end:]
         if after != before:
-            with whole_file(path) as temporary:
-                temporary.write_text(after, encoding="utf-8", newline="\n")
+            save_text(path, after)
             changed.append(path)
     return changed
 

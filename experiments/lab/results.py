@@ -162,7 +162,7 @@ def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
     with _alone(folder):
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
         for path in paths:
-            beside = path.with_suffix(".provenance.json")
+            beside = path.with_suffix(PROVENANCE)
             for one in {path, beside} if beside.exists() else {path}:
                 sums[one.relative_to(folder).as_posix()] = sha256(one)
         kept = {name: digest for name, digest in sums.items() if (folder / name).exists()}

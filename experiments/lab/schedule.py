@@ -20,7 +20,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from experiments.lab.cache import ASK_AGAIN_S, Cache, claimed
-from experiments.lab.cell import CRASHED, AnyCell, Measure, Rows
+from experiments.lab.cell import CRASHED, Measure, PlainCell, Rows
 from experiments.lab.pool import Cluster, DiedError, Pool, Processes, in_new_process, n_cores
 from experiments.lab.scored import SCORED
 from experiments.lab.task import (
@@ -63,7 +63,7 @@ class Outcome:
 
 
 def run_cells(
-    cells: Sequence[AnyCell],
+    cells: Sequence[PlainCell],
     cache: Cache,
     workers: Workers | None = None,
     label: str = "recordings",
@@ -204,7 +204,7 @@ def _claimed(task: Task, cache: Cache, measure: Measure) -> Done | None:
         return run_task(task, cache, measure) if is_ours else None
 
 
-def _frame(cells: Sequence[AnyCell], rows: Rows, measure: Measure) -> pd.DataFrame:
+def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataFrame:
     """Put each cell's columns before its row."""
     pairs = zip(cells, rows, strict=True)
     frame: pd.DataFrame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
@@ -212,7 +212,7 @@ def _frame(cells: Sequence[AnyCell], rows: Rows, measure: Measure) -> pd.DataFra
     return frame.astype(dict.fromkeys(unknown, float)) if len(frame) else frame
 
 
-def run_alone(cells: Sequence[AnyCell], measure: Measure, label: str) -> Outcome:
+def run_alone(cells: Sequence[PlainCell], measure: Measure, label: str) -> Outcome:
     """Measure cells one after the other, each in a process of its own on one core; none is kept.
 
     All of them get one cache, which is gone at the end, so that a cell may use what those before
@@ -229,7 +229,7 @@ def run_alone(cells: Sequence[AnyCell], measure: Measure, label: str) -> Outcome
     return Outcome(_frame(cells, rows, measure), len(cells), 0, 0.0)
 
 
-def _alone(cell: AnyCell, cache: Cache, measure: Measure) -> dict[str, Any]:
+def _alone(cell: PlainCell, cache: Cache, measure: Measure) -> dict[str, Any]:
     with threadpool_limits(1):
         return measured(cell, measure, lambda: measure.load([cell], cache))
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import AnyCell, Flight, Measure
+from experiments.lab.cell import Flight, Measure, PlainCell
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import (
     MERGED,
@@ -84,7 +84,6 @@ class Made:
     # own command makes it, of what nobody else has.
     make: "Callable[..., pd.DataFrame | Figure | bytes | str | None] | None"
     digits: int = 6
-    near: bool = False  # made of unrounded rows: the last digit may differ
     # That it is made of too, by the options of `cells`: verify has its checksum alone.
     recordings: Callable[..., tuple[Flight, ...]] | None = None
     config: Mapping[str, Any] | None = None  # of its provenance, where it is not the study's
@@ -119,7 +118,7 @@ class Study:
 
     name: str
     title: str
-    cells: Callable[..., Sequence[AnyCell]]  # its parameters are the options of the command
+    cells: Callable[..., Sequence[PlainCell]]  # its parameters are the options of the command
     measure: Measure
     runs: Runs | None  # None: it has no cells, and makes its files of others
     makes: tuple[Made, ...] = ()
@@ -183,7 +182,9 @@ def run_study(
     return outcome
 
 
-def numbered(cells: Sequence[AnyCell], shard: tuple[int, int] = WHOLE) -> list[tuple[int, AnyCell]]:
+def numbered(
+    cells: Sequence[PlainCell], shard: tuple[int, int] = WHOLE
+) -> list[tuple[int, PlainCell]]:
     """Return the numbered cells of shard (i, n), i from 1: all those of every n-th recording."""
     index, n_shards = shard
     mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells}
@@ -289,7 +290,7 @@ def runs_text(
     return csv_text(runs[[CELL, *columns] if is_numbered else columns], kept.digits)
 
 
-def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> None:
+def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[PlainCell]) -> None:
     """Raise SsacError unless every cell of the study has its row, once and in its place."""
     kept, again = study.runs, f": run `{study.command_line()}`"
     assert kept is not None

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from experiments.lab.cache import Cache, recording_key, run_key
-from experiments.lab.cell import CRASHED, UNUSABLE, Flight, Measure, Rows
+from experiments.lab.cell import CRASHED, UNUSABLE, Flight, Measure, PlainCell, Rows
 from experiments.lab.code import code_of
 from ssac.errors import SsacError, WriteError
 
@@ -20,21 +20,19 @@ from ssac.errors import SsacError, WriteError
 class Task:
     """All cells that are measured on the same recordings."""
 
-    cells: tuple[Any, ...]  # AnyCell
+    cells: tuple[PlainCell, ...]
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
         """That the cells are measured on."""
-        recordings: tuple[Flight, ...] = self.cells[0].recordings
-        return recordings
+        return self.cells[0].recordings
 
 
-def tasks_of(cells: Sequence[Any]) -> list[Task]:
+def tasks_of(cells: Sequence[PlainCell]) -> list[Task]:
     """Group cells by recordings, in the order in which these first appear."""
-    groups: dict[tuple[Any, ...], list[Any]] = {}
+    groups: dict[tuple[Flight, ...], list[PlainCell]] = {}
     for cell in cells:
-        # Cells that are measured on no recording may say what they share.
-        groups.setdefault(cell.recordings or getattr(cell, "shares", ()), []).append(cell)
+        groups.setdefault(cell.recordings, []).append(cell)
     return [Task(tuple(group)) for group in groups.values()]
 
 
@@ -97,7 +95,7 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
     return [row for row in rows if row is not None]
 
 
-def measured(cell: Any, measure: Measure, load: Callable[[], Any]) -> dict[str, Any]:
+def measured(cell: PlainCell, measure: Measure, load: Callable[[], Any]) -> dict[str, Any]:
     """Make a cell's row of what is loaded."""
     try:
         return plain(measure.row(cell, load()))
@@ -121,6 +119,6 @@ def plain(row: Any) -> dict[str, Any]:
     }
 
 
-def name_of(cell: Any) -> str:
+def name_of(cell: PlainCell) -> str:
     """Tell a cell from the others of its task, in a reason: by its last column."""
     return str(list(cell.columns.values())[-1])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.lab.cell import CRASHED, AnyCell
+from experiments.lab.cell import CRASHED, PlainCell
 from experiments.lab.provenance import plain, processor, versions
 from experiments.lab.results import (
     PROVENANCE,
@@ -260,7 +260,7 @@ def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
 
 
 @cache
-def cells_of(study: Study) -> Sequence[AnyCell]:
+def cells_of(study: Study) -> Sequence[PlainCell]:
     """List a study's cells, once."""
     return study.cells(**study.committed)
 
@@ -277,7 +277,7 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
         return () if same else ("it is another picture",)
     text, again = results.text(made.file), (made.bytes_of(results) or b"").decode()
     elsewhere = any(one.get("processor") != processor() for one in made_with)
-    if made.file.endswith(".csv") and (made.near or elsewhere):
+    if made.file.endswith(".csv") and elsewhere:
         again = _with_last_digits_of(text, again, made.digits)
     return text_difference(text, again)
 

@@ -33,6 +33,7 @@ from experiments.paper.page import page_content
 from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
 from sim.errors import SimError
+from ssac.cli.options import named
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.pipeline import html_report
@@ -59,9 +60,7 @@ _SOUND_SHARE = 0.9  # of a method's runs give an estimate, or it cannot be calle
 def report_command(
     results: ResultsOption = Path("results"),
     cache: CacheOption = DEFAULT_FOLDER,
-    out: Annotated[Path, typer.Option(help="HTML to write.", metavar="FILE")] = Path(
-        "out/report.html"
-    ),
+    out: Annotated[Path, named("FILE", "HTML to write.")] = Path("out/report.html"),
 ) -> None:
     """Put the results, the figures and an animation on one HTML page that needs no other file."""
     if out.is_dir():

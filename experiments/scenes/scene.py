@@ -14,7 +14,7 @@ from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
-from ssac.cli.options import number
+from ssac.cli.options import named, number
 from ssac.config import Config
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
@@ -87,9 +87,7 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
 def scene_command(
     seeds: Annotated[int, number("Flights to average over.", 1, 1000, metavar="COUNT")] = 10,
     first_seed: Annotated[int, number("Seed of the first flight.", 0, 2**32 - 1)] = 0,
-    drone: Annotated[
-        str, typer.Option(metavar="NAME", help=f"Drone: {', '.join(DRONES)}.")
-    ] = SimConfig.drone,
+    drone: Annotated[str, named("NAME", f"Drone: {', '.join(DRONES)}.")] = SimConfig.drone,
 ) -> None:
     """Print how the default scene looks to the method, beside the authors' public sample."""
     # The sample's angle and duration.
@@ -97,8 +95,7 @@ def scene_command(
     rows = []
     for flight in range(seeds):
         typer.echo(f"flight {flight + 1} of {seeds}", err=True)
-        figures = scene_figures(simulate(config, first_seed + flight))
-        rows.append(astuple(figures))
+        rows.append(astuple(scene_figures(simulate(config, first_seed + flight))))
     typer.echo(scene_table(SceneFigures(*np.mean(rows, axis=0))))
 
 

@@ -22,7 +22,7 @@ from sim.scene.flyers import DRONES
 from sim.scene.rig import Rig, look_at_rig
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
-from ssac.cli.options import with_options
+from ssac.cli.options import argument, with_options
 from ssac.cli.progress import compilation_told, progress
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.whole_file import check_folder, remove_left_over
@@ -61,10 +61,7 @@ class ManyCameras(SimConfig):
 
 @with_options(OPTIONS)
 def simulate_command(
-    out_dir: Annotated[
-        Path,
-        typer.Argument(metavar="OUT_DIR", help="New folder for the recording.", show_default=False),
-    ],
+    out_dir: Annotated[Path, argument("OUT_DIR", "New folder for the recording.")],
     **options: Any,
 ) -> None:
     """Simulate event cameras that watch one drone, and write the recording as a folder."""

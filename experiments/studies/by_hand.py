@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from experiments.drawing.style import Figure, panels
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, Measure
+from experiments.lab.cell import Flight, Measure, PlainCell
 from experiments.lab.command import command_of
 from experiments.lab.recorded import Pair
 from experiments.lab.score import Truth
@@ -78,7 +78,7 @@ SETTINGS: Mapping[str, Setting] = {
 
 
 @dataclass(frozen=True)
-class HandCell:
+class HandCell(PlainCell):
     """A setting on one recording."""
 
     recording: OddCell

@@ -315,7 +315,7 @@ STUDIES = (
         Measure(load_outdoor, outdoor_row, OutdoorRow),
         Runs("outdoor.csv", ("flight", "kind"), numbered=False,
              columns=("flight", "kind", "status", *MEASURED, "reason")),
-        (made_of("outdoor_oracle.csv", oracle_table, "outdoor", near=True),
+        (made_of("outdoor_oracle.csv", oracle_table, "outdoor"),
          Made("outdoor.png", first_flight, recordings=first_recording)),
         numbers={"table.outdoor": page_table},
         checks=(("a median is no maximum", ordered("outdoor", "median_m", "max_m")),

@@ -15,6 +15,16 @@ from experiments.lab.cache import claimed, remove_lapsed
 
 ROOT = Path(__file__).resolve().parents[3]
 
+HOLDING = """
+import sys, time
+from pathlib import Path
+from experiments.lab.cache import claimed
+
+with claimed(Path(sys.argv[1])) as is_ours:
+    print(is_ours, flush=True)
+    time.sleep(1e6)
+"""
+
 
 @pytest.fixture
 def path(tmp_path):
@@ -48,9 +58,8 @@ def test_one_holds_it_at_a_time_and_gives_it_back(path):
 def test_what_a_killed_process_held_is_free_at_once(path):
     path.parent.mkdir()
     kept = path.with_name(".kept.claim")
-    command = [sys.executable, "-m", "tests.experiments.lab.jobs", str(path)]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    holder = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE)
+    command = [sys.executable, "-c", HOLDING, str(path)]
+    holder = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE)
     assert holder.stdout.readline() == b"True\n"
     with claimed(path) as is_ours:
         assert not is_ours

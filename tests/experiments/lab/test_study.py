@@ -50,10 +50,6 @@ class PowerCell(SquareCell):
     def columns(self) -> dict[str, Any]:
         return {**super().columns, "power": self.power}
 
-    @property
-    def inputs(self) -> int:
-        return self.power
-
 
 def load_number(cells: Sequence[PowerCell], _: Cache) -> int:
     number = cells[0].number

@@ -211,8 +211,9 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
         one for one in study.makes if one.file == file or (is_of_runs and ".csv" in one.file)
     ]
     study = replace(study, makes=tuple(followed))  # what cannot tell is not made again
+    if file.endswith(".csv") and not is_of_runs:
+        study = replace(study, runs=None)  # nor looked at
     content = path.read_bytes()
-    quoted = {name: number(Results(RESULTS)) for name, number in study.numbers.items()}
     try:
         for damage in (delete_a_row, double_a_row, double_a_number):
             if damage is double_a_number and file in UNGUARDED:
@@ -221,14 +222,15 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
             assert path.read_bytes() != content
             results = Results(damaged)
             is_found = any(one.faults for one in study_findings(study, results))
-            assert is_found or _is_stale(study, results, quoted), damage.__name__
+            assert is_found or _is_stale(study, results), damage.__name__
             path.write_bytes(content)
     finally:
         path.write_bytes(content)
 
 
-def _is_stale(study, results, quoted) -> bool:
+def _is_stale(study, results) -> bool:
+    committed = Results(RESULTS)
     try:
-        return any(number(results) != quoted[name] for name, number in study.numbers.items())
+        return any(number(results) != number(committed) for number in study.numbers.values())
     except SsacError:
         return True

@@ -48,7 +48,7 @@ def animation(flight: Path) -> Animation:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     # A method from outside is shown like ours.
-    write_results(folder, made_up_runs((*METHODS, "speedy"), flights=4))
+    write_results(folder, made_up_runs((*METHODS, "speedy"), flights=2))
     return folder
 
 
@@ -58,11 +58,9 @@ def page(folder: Path, animation: Animation) -> str:
 
 
 def test_the_page_is_well_formed_and_needs_nothing_else(
-    page: str, folder: Path, flight: Path
+    page: str,
 ) -> None:
     check_page(page)
-    # The same input gives the same bytes.
-    assert report_page(read_results(folder), make_animation(flight)) == page
     n_figures = len(FIGURES) + len(ABLATIONS)
     assert page.count('<img src="data:image/png;base64,') == n_figures
     assert page.count('width="60" height="30"') == n_figures
@@ -152,7 +150,7 @@ def test_the_command_writes_the_page(
     )
     out = tmp_path / "new" / "report.html"
     report_command(folder, tmp_path / "cache", out)
-    assert out.read_text(encoding="utf-8") == page
+    assert out.read_text(encoding="utf-8") == page  # the same input gives the same bytes
     assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, SEED)]
     with pytest.raises(SsacError, match="is a folder: name a file"):
         report_command(folder, tmp_path / "cache", tmp_path)
