@@ -15,8 +15,8 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import recorded_pair
+from experiments.lab.schedule import Task, run_task
 from experiments.lab.scored import SCORED
-from experiments.lab.task import Task, run_task
 from experiments.studies import network
 from experiments.worlds.bench import ALL, PHYSICAL, bench_of, cells_of
 from sim.recording import SimConfig

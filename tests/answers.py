@@ -103,8 +103,8 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
     """Measure a study's cell: its row, as it is kept."""
     from experiments.lab.cell import UNUSABLE
+    from experiments.lab.schedule import plain
     from experiments.lab.scored import scored_row
-    from experiments.lab.task import plain
 
     row = plain(scored_row(*_of_study(recorded, method)))
     if row["status"] in ("skipped", UNUSABLE):
@@ -114,8 +114,8 @@ def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
 
 def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
     """Score an answer as a study does; an error as it is."""
+    from experiments.lab.schedule import plain
     from experiments.lab.scored import _scored
-    from experiments.lab.task import plain
 
     if "error" in fields:
         return {"error": " ".join(fields["error"].split())}

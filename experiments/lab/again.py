@@ -18,9 +18,8 @@ import pandas as pd
 from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED
 from experiments.lab.results import Results
-from experiments.lab.schedule import Workers, run_cells
+from experiments.lab.schedule import Task, Workers, run_cells, tasks_of
 from experiments.lab.study import CELL, How, Runs, Study, runs_text
-from experiments.lab.task import Task, tasks_of
 from experiments.lab.verify import Finding, cells_of, found, near, table_of_texts
 from ssac.errors import SsacError
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS

@@ -137,7 +137,7 @@ class Cache:
         save_text(path, text_of_row(row))
 
     def claim_of_runs(self, recordings: str) -> Path:
-        """Name the lock of all runs on some recordings, as `task.recordings_key` names these."""
+        """Name the lock of all runs on recordings, as `schedule.recordings_key` names these."""
         return self.folder / "runs" / f".{recordings}{CLAIM}"
 
     def tidy(self) -> None:

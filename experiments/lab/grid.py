@@ -96,9 +96,7 @@ class GridConfig:
 
     def cells(self) -> list[Cell]:
         """List all cells: the grid's points in order, then flights, then methods."""
-        return list(self._cells())
-
-    def _cells(self) -> Iterator[Cell]:
+        cells: list[Cell] = []
         flights = range(self.first_flight, self.first_flight + self.flights)
         for point in product(*self.axes):
             parameters = {**self.fixed, **{k: v for part in point for k, v in part.items()}}
@@ -116,7 +114,9 @@ class GridConfig:
             recorded = replace(sim, t_d_s=0.0)
             for flight, method in product(flights, self.methods):
                 seed = flight_seed(duration_s, sim.angle_deg, flight)
-                yield Cell(recorded, flight, seed, sim.t_d_s, estimator, method, parameters)
+                one = Cell(recorded, flight, seed, sim.t_d_s, estimator, method, parameters)
+                cells.append(one)
+        return cells
 
 
 def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int = 0) -> int:

@@ -30,8 +30,7 @@ from experiments.lab.results import (
     record_checksums,
     save_text,
 )
-from experiments.lab.schedule import Outcome, Workers, run_alone, run_cells
-from experiments.lab.task import tasks_of
+from experiments.lab.schedule import Outcome, Workers, run_alone, run_cells, tasks_of
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_folder, whole_file
@@ -142,7 +141,7 @@ class Study:
     def provenances(self) -> dict[str, Mapping[str, Any]]:
         """Names of the files that say what its own were made with -> configuration."""
         made = {made.file: made.config or self.config for made in self.makes}
-        tables = {file: made.get(file, self.config) for file in self.files if _is_table(file)}
+        tables = {file: made.get(file, self.config) for file in self.files if file.endswith(".csv")}
         tables = tables or {self.name: self.config}  # drawings alone
         return {file.removesuffix(".csv") + PROVENANCE: one for file, one in tables.items()}
 
@@ -263,7 +262,7 @@ def save_made(
         with whole_file(path) as temporary:
             temporary.write_bytes(made_bytes)
         written.append(path)
-        if _is_table(made.file):
+        if made.file.endswith(".csv"):
             config = content["config"] if made.config is None else dict(made.config)
             write_provenance(path, {**content, "config": config})
     noted = list(written)
@@ -362,10 +361,6 @@ def merge(
     save_text(out, "\n".join(text) + "\n")
     content = {"command": MERGED, "config": wholes[0], "shards": provenances}
     return save_made(study, out.parent, cache, content)
-
-
-def _is_table(file: str) -> bool:
-    return file.endswith(".csv")
 
 
 def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:

@@ -7,6 +7,7 @@ chi^2's quantile. The flights are those of configs/coverage.toml.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,7 @@ def confidence(normalised: Array, parameters: int) -> Array:
     return np.asarray(chi2.cdf(np.square(normalised), parameters))
 
 
+@cache
 def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
     """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
     bounds = binomtest(n_inside, n_runs).proportion_ci(SAMPLING)

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from experiments import commands
-from experiments.lab import task
+from experiments.cli import app
+from experiments.lab import schedule
 from experiments.lab.again import (
     ROUNDING,
     Drawn,
@@ -83,7 +83,7 @@ def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
 def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage, fault: str
 ) -> None:
-    monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"square{inputs}")
+    monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     drawn = draw([SQUARES], 1, 0)
 
     def made_again(name: str) -> list[Finding]:
@@ -203,12 +203,8 @@ def test_a_run_that_is_gone_or_crashes_again_is_found() -> None:
 # --- The command ---
 
 
-app = typer.Typer()
-app.command()(commands.verify_command)
-
-
 def verify(results: Path, *options: str) -> tuple[int, str]:
-    arguments = ["--results", str(results), "--workers", "1", *options]
+    arguments = ["verify", "--results", str(results), "--workers", "1", *options]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     return result.exit_code, result.output
 

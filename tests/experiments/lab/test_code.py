@@ -10,8 +10,8 @@ import pytest
 from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
 from experiments.lab.code import ROOT, SourceTree, code_of
 from experiments.lab.grid import Cell
+from experiments.lab.schedule import Task, run_task
 from experiments.lab.scored import SCORED
-from experiments.lab.task import Task, run_task
 from experiments.studies import all_studies
 from sim.recording import SimConfig
 from ssac.config import Config
@@ -254,7 +254,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(
     assert {"ssac.methods.tangency", "ssac.track.denoise"} <= ours
     assert "experiments.lab.score:pose_score" in ours
     # What names, runs and keeps the entries is no part of them.
-    keeping = ("code", "pool", "task", "cache", "results", "provenance")
+    keeping = ("code", "pool", "schedule", "cache", "results", "provenance")
     ours = {name for name in ours if not name.startswith(
         tuple(f"experiments.lab.{file}" for file in keeping))}  # fmt: skip
     assert ours - SourceTree().closure(*CODES["runs"]) == set()

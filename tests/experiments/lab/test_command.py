@@ -12,14 +12,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.lab import study, task
+from experiments.lab import schedule, study
 from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.command import command_of, drawn_by, finish, on_screen
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Runs
 from experiments.paper.esim import table_cells
-from sim.errors import SimError
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.cli.options import number
@@ -35,11 +34,6 @@ def test_the_renderer_changes_what_draws_and_nothing_else(renderer: str, check: 
     for after in drawn:
         assert (after.sim.render.renderer, after.sim.render.check) == (renderer, check)
     assert drawn_by(drawn, RENDERERS[0], True) == list(cells)
-
-
-def test_an_unknown_renderer_is_refused() -> None:
-    with pytest.raises(SimError, match="unknown renderer 'blender'"):
-        drawn_by(table_cells()[:1], "blender", True)
 
 
 NOT_SIMULATED = "recording: SimError: a.obj has no faces"
@@ -95,7 +89,7 @@ def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = 
 
 
 def runs_of(parts, tmp_path: Path, monkeypatch, *words: str) -> tuple[Any, Path]:
-    monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"square{inputs}")
+    monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     monkeypatch.setattr(study, "context_or_none", lambda: None)
     app = typer.Typer()
     app.command()(command_of(parts, "Squares."))

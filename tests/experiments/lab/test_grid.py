@@ -83,8 +83,13 @@ def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
     parameters = {"sim.spline.duration_s": 10, "sim.angle_deg": 30, "sim.t_d_s": 0.005}
     assert first.parameters == parameters
     assert first.estimator.interval_s == (-0.995, 1.005)
-    together = {"together": {"c": {"ssac": {"n_min": [1, 2]}, "sim": {"focal_px": [1, 2]}}}}
-    cells = grid_from_content("small", SMALL | together).cells()
+    # Parameters that move together are one axis.
+    together = {"together": {"c": {"ssac": {"n_min": [1, 2]}, "sim": {"focal_px": [100, 200]}}}}
+    grid = grid_from_content("small", SMALL | together)
+    cells = grid.cells()
+    pairs = {(cell.sim.focal_px, cell.estimator.n_min) for cell in cells}
+    assert pairs == {(100.0, 1), (200.0, 2)}
+    assert grid.varied == ("sim.angle_deg", "sim.t_d_s", "ssac.n_min", "sim.focal_px")
     assert {(cell.sim.angle_deg, cell.flight, cell.seed) for cell in cells} == {
         (angle_deg, flight, flight_seed(10.0, angle_deg, flight))
         for angle_deg in (30.0, 90.0) for flight in (0, 1)
@@ -223,11 +228,3 @@ def test_what_is_wrong_with_a_file_names_it(tmp_path, text, message):
         path.write_bytes(text)
     with pytest.raises(SsacError, match=rf"bad\.toml: {message}"):
         load_config(path)
-
-
-def test_parameters_that_move_together_are_one_axis():
-    together = {"camera": {"sim": {"focal_px": [100, 200], "resolution": [[173, 130], [346, 260]]}}}
-    grid = grid_from_content("small", SMALL | {"together": together})
-    pairs = {(cell.sim.focal_px, cell.sim.resolution) for cell in grid.cells()}
-    assert pairs == {(100.0, (173, 130)), (200.0, (346, 260))}
-    assert grid.varied == ("sim.angle_deg", "sim.t_d_s", "sim.focal_px", "sim.resolution")

@@ -17,19 +17,17 @@ from typer.testing import CliRunner
 
 from experiments import commands
 from experiments.cli import app
-from experiments.lab import schedule, task
+from experiments.lab import schedule
 from experiments.lab import study as module
 from experiments.lab.cache import Cache, claimed
 from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.pool import DiedError, Pool, Processes
 from experiments.lab.results import SUMS_FILE, csv_text, read_table
-from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
+from experiments.lab.schedule import MAX_DEATHS, Task, Workers, recordings_key, run_cells
 from experiments.lab.study import Runs, check_runs, numbered, run_study
-from experiments.lab.task import Task, recordings_key
 from sim.recording import SimConfig
 from ssac.errors import SsacError
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
-from tests.left_over import ended_process, made_by
 
 NUMBERS = range(4)
 LOADED: list[int] = []  # numbers whose recordings were loaded
@@ -79,8 +77,8 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers need no recordings, so no OpenGL, and stand in no module of ours."""
     LOADED.clear()
     FAULTS.clear()
-    monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
-    monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
+    monkeypatch.setattr(schedule, "recording_key", lambda sim, seed: f"recording {seed}")
+    monkeypatch.setattr(schedule, "run_key", lambda *parts: str(abs(hash(parts))))
     monkeypatch.setattr(module, "context_or_none", lambda: None)
     monkeypatch.setattr(commands, "all_studies", lambda: {"squares": STUDY})
 
@@ -236,20 +234,6 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path: Pa
         LOADED.clear()
 
 
-def test_what_killed_runs_left_is_removed(tmp_path):
-    ended = ended_process()
-    recordings, runs = tmp_path / "recordings", tmp_path / "runs"
-    (recordings / "whole").mkdir(parents=True)
-    (runs / "ab").mkdir(parents=True)
-    left = made_by(recordings / "half", ended)
-    left.mkdir()
-    (left / "cam1.h5").touch()
-    made_by(runs / "ab" / "abc.json", ended).touch()
-    run(tmp_path)
-    assert [path.name for path in recordings.iterdir()] == ["whole"]
-    assert not list(tmp_path.rglob(".*"))
-
-
 # --- Others on it, and workers that die ---
 
 
@@ -262,7 +246,7 @@ def test_what_another_run_is_on_comes_last_and_is_not_done_twice(tmp_path, monke
         def sleep(_: float) -> None:
             if 0 not in LOADED:  # the other run takes its time
                 assert LOADED == [1, 2, 3]  # all that is left is its
-                task.run_task(first, cache, MEASURE)
+                schedule.run_task(first, cache, MEASURE)
                 other.close()
 
         monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
@@ -319,8 +303,8 @@ def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     assert "given up" in capsys.readouterr().err
     # It is not kept: the next run tries it again, and nothing else.
     monkeypatch.undo()
-    monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
-    monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
+    monkeypatch.setattr(schedule, "recording_key", lambda sim, seed: f"recording {seed}")
+    monkeypatch.setattr(schedule, "run_key", lambda *parts: str(abs(hash(parts))))
     LOADED.clear()
     assert values(run(tmp_path)) == VALUES
     assert LOADED == [2]

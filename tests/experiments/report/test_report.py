@@ -57,15 +57,6 @@ def page(folder: Path, animation: Animation) -> str:
     return report_page(read_results(folder), animation)
 
 
-def test_the_page_is_well_formed_and_needs_nothing_else(
-    page: str,
-) -> None:
-    check_page(page)
-    n_figures = len(FIGURES) + len(ABLATIONS)
-    assert page.count('<img src="data:image/png;base64,') == n_figures
-    assert page.count('width="60" height="30"') == n_figures
-
-
 def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(
     page: str, folder: Path, tmp_path: Path
 ) -> None:
@@ -88,23 +79,23 @@ def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(
 
 
 @pytest.mark.parametrize(
-    ("name", "command"),
+    ("name", "command", "is_damaged"),
     [
-        ("runs.csv", "make tables"),
-        ("esim_20.provenance.json", "make tables"),
-        ("fig4_epipolar.png", "make figures"),
-        ("efficiency.png", "make studies"),
-        ("ablation_window.png", "make ablations"),
+        ("runs.csv", "make tables", False),
+        ("esim_20.provenance.json", "make tables", True),
+        ("fig4_epipolar.png", "make figures", False),
+        ("efficiency.png", "make studies", True),
+        ("ablation_window.png", "make ablations", False),
     ],
 )
 def test_a_missing_or_damaged_file_names_its_command(
-    name: str, command: str, folder: Path, tmp_path: Path
+    name: str, command: str, is_damaged: bool, folder: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    for damage in (lambda path: path.write_bytes(b"\xff nonsense"), Path.unlink):
-        damage(tmp_path / name)
-        with pytest.raises(SsacError, match=rf"{name}.*: run `{command}`"):
-            read_results(tmp_path)
+    path = tmp_path / name
+    path.write_bytes(b"\xff nonsense") if is_damaged else path.unlink()
+    with pytest.raises(SsacError, match=rf"{name}.*: run `{command}`"):
+        read_results(tmp_path)
 
 
 def test_what_files_say_cannot_become_html_and_is_shown_once(
@@ -141,13 +132,17 @@ def test_the_headline_is_computed() -> None:
     assert headline(runs, compared)["best"] not in ("joint", "")
 
 
-def test_the_command_writes_the_page(
+def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
     folder: Path, flight: Path, tmp_path: Path, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
     monkeypatch.setattr(
         Cache, "recording_folder", lambda self, config, seed: asked.append((config, seed)) or flight
     )
+    check_page(page)
+    n_figures = len(FIGURES) + len(ABLATIONS)
+    assert page.count('<img src="data:image/png;base64,') == n_figures
+    assert page.count('width="60" height="30"') == n_figures
     out = tmp_path / "new" / "report.html"
     report_command(folder, tmp_path / "cache", out)
     assert out.read_text(encoding="utf-8") == page  # the same input gives the same bytes

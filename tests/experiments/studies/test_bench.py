@@ -12,8 +12,7 @@ import pytest
 from experiments.lab.cache import Cache
 from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results, csv_text, png_bytes
-from experiments.lab.schedule import Workers, run_cells
-from experiments.lab.task import Task, run_task
+from experiments.lab.schedule import Task, Workers, run_cells, run_task
 from experiments.machine import growth, parts
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
 from experiments.machine.parts import PART, Measurement, PartCell, measured_cells

@@ -14,8 +14,8 @@ import pytest
 import ssac.pipeline.registry
 from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell, load_config
+from experiments.lab.schedule import refusal
 from experiments.lab.scored import SCORED, scored_row
-from experiments.lab.task import refusal
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
