@@ -30,7 +30,7 @@ from tests.experiments.lab.squares import SQUARES, write_squares
 
 
 @pytest.fixture
-def results(tmp_path) -> Path:
+def results(tmp_path):
     write_squares(tmp_path / "results")
     return tmp_path / "results"
 
@@ -42,7 +42,7 @@ def names(drawn: list[Drawn]) -> list[tuple]:
     return [(study.name, task.recordings) for study, task in drawn]
 
 
-def test_what_is_drawn() -> None:
+def test_what_is_drawn():
     sources = sources_of(all_studies())[:4]
     assert names(draw(sources, 6, 7)) == names(draw(sources, 6, 7))
     assert len({name for seed in range(3) for name in names(draw(sources, 6, seed))}) > 12
@@ -57,7 +57,7 @@ def test_what_is_drawn() -> None:
     assert {cell.t_d_s for cell in one.cells} == {0.005, 0.05, 0.5}
 
 
-def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
+def test_slow_studies_are_drawn_from_only_if_asked_for():
     studies = all_studies()
     slow = {study.name for study in studies.values() if not study.again}
     assert "fidelity" in slow
@@ -81,8 +81,8 @@ def test_slow_studies_are_drawn_from_only_if_asked_for() -> None:
     ],
 )
 def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage, fault: str
-) -> None:
+    results, tmp_path, monkeypatch, damage, fault
+):
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     drawn = draw([SQUARES], 1, 0)
 
@@ -146,8 +146,8 @@ def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
     ],
 )
 def test_every_number_counts_on_any_machine_and_may_differ_by_rounding(
-    method: str, name: str, mine: str, committed: str, is_same: bool
-) -> None:
+    method, name, mine, committed, is_same
+):
     for one, other in ((mine, committed), (committed, mine)):
         found = faults(row(method=method, **{name: one}), row(method=method, **{name: other}))
         assert (found == ()) == is_same
@@ -155,7 +155,7 @@ def test_every_number_counts_on_any_machine_and_may_differ_by_rounding(
     assert 1000.0 * ROUNDING < 0.01  # the paper's tables print 0.01 ms and 0.01 deg
 
 
-def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone() -> None:
+def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone():
     assert faults(row(), row()) == ()
     for name, value in row().iloc[0].items():
         if name in MEASURED or str(name).startswith("n_"):
@@ -184,15 +184,13 @@ def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone() -> None
         ("beyond", "within", False),
     ],
 )
-def test_a_reason_may_differ_by_the_last_digit_of_what_was_measured(
-    old: str, new: str, is_same: bool
-) -> None:
+def test_a_reason_may_differ_by_the_last_digit_of_what_was_measured(old, new, is_same):
     assert old in WORDS
     committed, again = row(reason=WORDS), row(reason=WORDS.replace(old, new))
     assert (faults(again, committed) == ()) == is_same
 
 
-def test_a_run_that_is_gone_or_crashes_again_is_found() -> None:
+def test_a_run_that_is_gone_or_crashes_again_is_found():
     (fault,) = faults(row(), row(flight="4"))
     assert fault == "flight 3, method joint: no such run is committed"
     crash = row(status="crashed", reason="tangency: KeyError: 1")
@@ -209,9 +207,7 @@ def verify(results: Path, *options: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def test_the_command_says_what_it_drew_and_fails_on_a_difference(
-    results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkeypatch):
     seen = []
 
     def made_again(drawn, *_: object) -> list[Finding]:

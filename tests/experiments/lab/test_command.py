@@ -28,7 +28,7 @@ from tests.experiments.lab.squares import SQUARES, SquareRow, load_nothing, proc
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 @pytest.mark.parametrize("check", [True, False])
-def test_the_renderer_changes_what_draws_and_nothing_else(renderer: str, check: bool) -> None:
+def test_the_renderer_changes_what_draws_and_nothing_else(renderer, check):
     cells = table_cells()[:7]
     drawn = drawn_by(cells, renderer, check)
     for after in drawn:
@@ -45,7 +45,7 @@ def outcome(*reasons: str) -> Outcome:
     return Outcome(pd.DataFrame({"status": status, "reason": reasons}), 1, 0, 0.0)
 
 
-def test_what_cannot_be_simulated_is_the_inputs_fault(tmp_path: Path) -> None:
+def test_what_cannot_be_simulated_is_the_inputs_fault(tmp_path):
     with pytest.raises(SsacError, match=r"1 runs have no recording, the first .*: a\.obj has no"):
         finish([outcome("", NOT_SIMULATED), outcome("")], Cache(tmp_path))
     finish([outcome("")], Cache(tmp_path))
@@ -59,14 +59,14 @@ def test_what_cannot_be_simulated_is_the_inputs_fault(tmp_path: Path) -> None:
         ([OURS, NOT_SIMULATED], "this program"),
     ],
 )
-def test_whose_bug_it_is_is_said(tmp_path: Path, capsys, reasons, whose) -> None:
+def test_whose_bug_it_is_is_said(tmp_path, capsys, reasons, whose):
     with pytest.raises(typer.Exit) as ended:
         finish([outcome("", *reasons)], Cache(tmp_path))
     assert ended.value.exit_code == BUG
     assert f"error: a bug in {whose}: {len(reasons)} runs crashed" in capsys.readouterr().err
 
 
-def test_a_table_fits_a_screen_and_says_that_there_is_no_refusal() -> None:
+def test_a_table_fits_a_screen_and_says_that_there_is_no_refusal():
     errors = {
         f"{name}_{of}": [value, np.nan]
         for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")

@@ -17,7 +17,7 @@ def written(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path: Path) -> None:
+def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path):
     table = written(tmp_path, "a.csv", "1")
     written(tmp_path, "a.provenance.json", "{}")
     record_checksums(tmp_path, [table])
@@ -33,7 +33,7 @@ def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path: Path)
     assert "a.csv" not in read_checksums(tmp_path)
 
 
-def test_commands_that_write_at_once_lose_no_note(tmp_path: Path) -> None:
+def test_commands_that_write_at_once_lose_no_note(tmp_path):
     paths = [written(tmp_path, f"{number}.csv", str(number)) for number in range(40)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda path: record_checksums(tmp_path, [path]), paths))
@@ -41,7 +41,7 @@ def test_commands_that_write_at_once_lose_no_note(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["abc  a.csv", "0" * 64 + " a.csv", "0" * 64 + "  ", ""])
-def test_a_line_that_is_none_is_an_error(tmp_path: Path, line: str) -> None:
+def test_a_line_that_is_none_is_an_error(tmp_path, line):
     written(tmp_path, SUMS_FILE, f"{'0' * 64}  a.csv\n{line}\n")
     with pytest.raises(SsacError, match="line 2 is no digest and name"):
         read_checksums(tmp_path)

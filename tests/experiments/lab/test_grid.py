@@ -104,21 +104,15 @@ def test_a_row_is_of_the_recording_that_ssac_simulate_makes_of_its_columns(tmp_p
         "fixed": {"sim": {"spline": {"duration_s": 1.0}}},
         "grid": {"sim": {"angle_deg": [60], "t_d_s": [0.005]}},
     }
-    cells = grid_from_content("short", content).cells()
-    cache = Cache(tmp_path / "cache")
-    (row,) = run_cells(cells, cache, Workers(1), show_progress=False).runs.to_dict("records")
-    options = {
-        "--angle": row["sim.angle_deg"],
-        "--duration": row["sim.spline.duration_s"],
-        "--t-d": row["sim.t_d_s"],
-        "--seed": row["seed"],
-    }
-    arguments = [str(part) for option in options.items() for part in option]
-    out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["simulate", str(out), *arguments], catch_exceptions=False)
-    assert done.exit_code == 0
-    kept = cache.recording_folder(cells[0].sim, cells[0].seed)
-    for name, t_d_s in (("cam1.h5", 0.0), ("cam2.h5", row["sim.t_d_s"])):
+    (cell,) = grid_from_content("short", content).cells()
+    cache, out = Cache(tmp_path / "cache"), tmp_path / "out"
+    row = run_cells([cell], cache, Workers(1), show_progress=False).runs.iloc[0]
+    at, lasts, late = row["sim.angle_deg"], row["sim.spline.duration_s"], row["sim.t_d_s"]
+    options = ("--angle", at, "--duration", lasts, "--t-d", late, "--seed", row["seed"])
+    arguments = ["simulate", *map(str, (out, *options))]
+    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    kept = cache.recording_folder(cell.sim, cell.seed)
+    for name, t_d_s in (("cam1.h5", 0.0), ("cam2.h5", late)):
         simulated, cached = (
             Observation(load_events_h5(folder / name).events) for folder in (out, kept)
         )

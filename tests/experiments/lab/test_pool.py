@@ -14,7 +14,7 @@ from threading import Lock
 import pytest
 
 from experiments.lab import pool as module
-from experiments.lab.pool import DiedError, Pool, Processes, n_cores
+from experiments.lab.pool import DiedError, Pool, Processes
 
 
 class TwoWordsError(Exception):
@@ -117,7 +117,3 @@ def test_what_cannot_be_sent_or_read_back_is_an_error_and_no_death():
     assert isinstance(odd.exception(), TypeError)
     assert "second" in str(odd.exception())
     assert nine.result() == 9
-
-
-def test_there_is_a_core():
-    assert 1 <= n_cores() <= (os.cpu_count() or 1)

@@ -1,7 +1,5 @@
 """Quoted numbers follow the results, and each way of being stale is one clear line."""
 
-from pathlib import Path
-
 import pytest
 
 from experiments import commands
@@ -39,7 +37,7 @@ NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _tabl
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
+def root(tmp_path):
     """Return a small project: one page, one file of results."""
     (tmp_path / "docs").mkdir()
     (tmp_path / "results").mkdir()

@@ -17,19 +17,19 @@ def turn(angle_deg: float, axis: tuple[float, float, float] = (0.0, 0.6, 0.8)) -
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-7, 0.3, 90.0, 179.9999])
-def test_rotation_angle(angle_deg: float) -> None:
+def test_rotation_angle(angle_deg):
     # Round-off; an arc cosine would lose angles below 1e-6 deg and near 180 deg.
     assert rotation_angle_deg(turn(angle_deg)) == pytest.approx(angle_deg, abs=1e-10, rel=1e-9)
 
 
-def test_angle_between_vectors_minds_the_sign_and_not_the_length() -> None:
+def test_angle_between_vectors_minds_the_sign_and_not_the_length():
     a = np.array([1.0, 2.0, -0.5])
     assert angle_between_deg(a, 3.0 * a) == pytest.approx(0.0, abs=1e-10)
     assert angle_between_deg(a, -a) == pytest.approx(180.0)
     assert angle_between_deg(a, turn(1e-6, (0.0, 0.0, 1.0)) @ a) == pytest.approx(9.76e-7, rel=1e-2)
 
 
-def test_errors_have_their_units_and_directions() -> None:
+def test_errors_have_their_units_and_directions():
     R, t = turn(90.0), np.array([1.0, 0.0, 0.0])
     estimate = Estimate("m", t_d_s=0.0498, R=R @ turn(0.5), t=-t)
     errors = score(estimate, 0.05, R, t)
@@ -38,14 +38,14 @@ def test_errors_have_their_units_and_directions() -> None:
     assert errors.t_error_deg == pytest.approx(180.0)
 
 
-def test_what_a_method_does_not_give_is_nan() -> None:
+def test_what_a_method_does_not_give_is_nan():
     errors = score(Estimate("m", t_d_s=0.06), 0.05, np.eye(3), np.array([1.0, 0.0, 0.0]))
     assert errors.t_d_error_ms == pytest.approx(10.0)
     assert np.isnan(errors.r_error_deg)
     assert np.isnan(errors.t_error_deg)
 
 
-def test_a_pose_is_scored_against_its_covariance() -> None:
+def test_a_pose_is_scored_against_its_covariance():
     step = np.array([0.002, -0.003, 0.001, 0.004, -0.002])
     R, t = turn(70.0), np.array([0.6, 0.0, 0.8])
     R_true, t_true = moved_pose(R, t, step)

@@ -1,7 +1,6 @@
 """What is found once for many rows, denoised events and offsets, gives the rows of runs in full."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import METHODS, OURS, Input, Method
 from ssac.track.clean import Clean, clean
-from tests.recorded import Recorded
 
 OFFSETS_S = (0.05, 0.5)
 
@@ -143,9 +141,7 @@ def assert_same(one: Clean, other: Clean) -> None:
 
 
 @pytest.mark.parametrize("has_line", [False, True])
-def test_a_pair_comes_back_as_denoising_left_it(
-    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_line: bool
-) -> None:
+def test_a_pair_comes_back_as_denoising_left_it(recorded, tmp_path, monkeypatch, has_line):
     raw = cam1, cam2, rig = load_pair(recorded.folder)
     left = [clean(one, camera, HOW) for one, camera in ((cam1, rig.cam1), (cam2, rig.cam2))]
     assert 0 < len(left[0].events) < len(cam1.events)
@@ -163,9 +159,7 @@ def test_a_pair_comes_back_as_denoising_left_it(
     assert len(calls) == 1  # the second time nothing of the recording is read
 
 
-def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(
-    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, tmp_path, monkeypatch):
     cam1, cam2, rig = load_pair(recorded.folder)
     few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # none near another
     monkeypatch.setattr(module, "load_pair", lambda _: Pair(cam1, few, rig))

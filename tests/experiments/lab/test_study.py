@@ -73,7 +73,7 @@ STUDY = replace(
 
 
 @pytest.fixture(autouse=True)
-def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_gl(monkeypatch):
     """Numbers need no recordings, so no OpenGL, and stand in no module of ours."""
     LOADED.clear()
     FAULTS.clear()
@@ -100,7 +100,7 @@ def study(*arguments: object) -> Any:
 # --- Files ---
 
 
-def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path: Path) -> None:
+def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path):
     result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     assert result.exit_code == 0, result.output
     names = {path.name for path in tmp_path.iterdir() if path.is_file()}
@@ -116,13 +116,13 @@ def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("n_shards", [1, 2, 3, 5])
-def test_shards_are_a_partition_that_splits_no_recording(n_shards: int) -> None:
+def test_shards_are_a_partition_that_splits_no_recording(n_shards):
     shards = [numbered(CELLS, (index + 1, n_shards)) for index in range(n_shards)]
     assert sorted(number for shard in shards for number, _ in shard) == list(range(8))
     assert sum(len({cell.number for _, cell in shard}) for shard in shards) == 4
 
 
-def test_merged_shards_are_the_same_bytes(tmp_path: Path) -> None:
+def test_merged_shards_are_the_same_bytes(tmp_path):
     whole = tmp_path / "whole"
     assert study("squares", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
     parts = []
@@ -165,7 +165,7 @@ def test_merged_shards_are_the_same_bytes(tmp_path: Path) -> None:
     assert not x.exists()
 
 
-def test_gaps_in_the_runs_are_found(tmp_path: Path) -> None:
+def test_gaps_in_the_runs_are_found(tmp_path):
     runs = read_table(csv_text(run(tmp_path).runs))
     check_runs(STUDY, runs, CELLS)
     for damaged, said in (
@@ -179,9 +179,7 @@ def test_gaps_in_the_runs_are_found(tmp_path: Path) -> None:
             check_runs(STUDY, damaged, CELLS)
 
 
-def test_the_command_refuses_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_refuses_before_the_work(tmp_path, monkeypatch):
     assert study("--list").output.split() == ["squares", "Squares", "of", "numbers"]
     needy = replace(STUDY, reads=("runs.csv",))
     monkeypatch.setattr(commands, "all_studies", lambda: {"squares": needy})
@@ -200,7 +198,7 @@ def test_the_command_refuses_before_the_work(
 # --- What is done, and what is left ---
 
 
-def test_what_is_done_is_not_done_again_and_an_interrupted_study_goes_on(tmp_path: Path) -> None:
+def test_what_is_done_is_not_done_again_and_an_interrupted_study_goes_on(tmp_path):
     FAULTS["number 2"] = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path)
@@ -216,7 +214,7 @@ def test_what_is_done_is_not_done_again_and_an_interrupted_study_goes_on(tmp_pat
     assert LOADED == []
 
 
-def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path: Path) -> None:
+def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path):
     FAULTS["power 2"] = RuntimeError("a bug")
     FAULTS["number 1"] = SsacError("unreadable")
     runs = run(tmp_path).runs.set_index(["number", "power"])

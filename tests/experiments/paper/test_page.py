@@ -33,7 +33,7 @@ def page_of(runs: pd.DataFrame) -> str:
 
 
 @pytest.fixture(scope="module")
-def page() -> str:
+def page():
     return page_of(RUNS)
 
 

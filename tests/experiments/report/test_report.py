@@ -4,7 +4,6 @@ import html
 import json
 import re
 import shutil
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -14,7 +13,6 @@ from experiments.lab.results import Results, csv_text
 from experiments.report.report import (
     SEED,
     T_D_S,
-    Animation,
     headline,
     make_animation,
     read_results,
@@ -32,7 +30,7 @@ from tests.ssac.synthetic import HEIGHT, WIDTH
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flight(tmp_path_factory):
     """A recording that nobody changes."""
     folder = tmp_path_factory.mktemp("flight")
     record_flight(folder)
@@ -40,12 +38,12 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def animation(flight: Path) -> Animation:
+def animation(flight):
     return make_animation(flight)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     # A method from outside is shown like ours.
     write_results(folder, made_up_runs((*METHODS, "speedy"), flights=2))
@@ -53,13 +51,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path, animation: Animation) -> str:
+def page(folder, animation):
     return report_page(read_results(folder), animation)
 
 
-def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(
-    page: str, folder: Path, tmp_path: Path
-) -> None:
+def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder, tmp_path):
     """What these hold, `tests/experiments/paper/test_page.py` says."""
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     shutil.copyfile(folder / "esim_20.provenance.json", tmp_path / "runs.provenance.json")
@@ -88,9 +84,7 @@ def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(
         ("ablation_window.png", "make ablations", False),
     ],
 )
-def test_a_missing_or_damaged_file_names_its_command(
-    name: str, command: str, is_damaged: bool, folder: Path, tmp_path: Path
-) -> None:
+def test_a_missing_or_damaged_file_names_its_command(name, command, is_damaged, folder, tmp_path):
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     path = tmp_path / name
     path.write_bytes(b"\xff nonsense") if is_damaged else path.unlink()
@@ -98,9 +92,7 @@ def test_a_missing_or_damaged_file_names_its_command(
         read_results(tmp_path)
 
 
-def test_what_files_say_cannot_become_html_and_is_shown_once(
-    folder: Path, animation: Animation, tmp_path: Path
-) -> None:
+def test_what_files_say_cannot_become_html_and_is_shown_once(folder, animation, tmp_path):
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     runs = made_up_runs(flights=2)
     runs.loc[0, ["status", "reason"]] = ["crashed", EVIL]
@@ -115,7 +107,7 @@ def test_what_files_say_cannot_become_html_and_is_shown_once(
     assert "0123456789ab" in page
 
 
-def test_the_headline_is_computed() -> None:
+def test_the_headline_is_computed():
     runs = made_up_runs(flights=4)
     joint = runs["method"] == "joint"
     runs.loc[joint, ["t_d_error_ms", "r_error_deg", "t_error_deg"]] = [0.0625, 0.25, 0.125]
@@ -133,8 +125,8 @@ def test_the_headline_is_computed() -> None:
 
 
 def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
-    folder: Path, flight: Path, tmp_path: Path, page: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, flight, tmp_path, page, monkeypatch
+):
     asked = []
     monkeypatch.setattr(
         Cache, "recording_folder", lambda self, config, seed: asked.append((config, seed)) or flight
@@ -151,7 +143,7 @@ def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
         report_command(folder, tmp_path / "cache", tmp_path)
 
 
-def test_the_player_shows_the_offset_that_was_put_in(animation: Animation) -> None:
+def test_the_player_shows_the_offset_that_was_put_in(animation):
     # The synthetic tracks have about 1 px of noise at 180 px/s: 6 ms in one pair, 1 ms in hundreds.
     assert animation.estimate.t_d_s == pytest.approx(T_D_S, abs=1e-3)
     off_s = abs(animation.estimate.t_d_s - T_D_S)
@@ -164,7 +156,7 @@ def test_the_player_shows_the_offset_that_was_put_in(animation: Animation) -> No
     assert (pair["before"], pair["found"]) == (0.0, animation.estimate.t_d_s)
 
 
-def test_a_recording_that_gives_no_estimate_is_refused(flight: Path, tmp_path: Path) -> None:
+def test_a_recording_that_gives_no_estimate_is_refused(flight, tmp_path):
     shutil.copytree(flight, tmp_path / "few")
     events = load_events_h5(flight / "cam2.h5").events
     save_events_h5(tmp_path / "few" / "cam2.h5", events[: len(events) // 40], WIDTH, HEIGHT)

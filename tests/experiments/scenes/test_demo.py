@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
 from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
 from sim.errors import SimError
-from sim.recorded import Recording, Truth
+from sim.recorded import Truth
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
@@ -31,7 +30,7 @@ TRUTH = Truth(
 )
 
 
-def test_the_comparison_shows_estimate_truth_and_error() -> None:
+def test_the_comparison_shows_estimate_truth_and_error():
     estimate = Estimate("ssac", t_d_s=0.0512, R=np.eye(3), t=TRUTH.t, n_samples=9, d_avg_px=0.4)
     head, _, t_d, R, t = comparison(estimate, TRUTH).splitlines()
     assert head == "ssac: 9 samples, d_avg 0.400 px"
@@ -42,7 +41,7 @@ def test_the_comparison_shows_estimate_truth_and_error() -> None:
     assert comparison(refused, TRUTH) == "ssac: too_few_samples: only 3 of them"
 
 
-def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
+def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_path):
     folder = tmp_path / "recording"
     assert not is_of_a_demo(folder)
     folder.mkdir()
@@ -56,7 +55,7 @@ def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_pa
     assert [path.name for path in folder.iterdir()] == ["truth.json"]
 
 
-def test_provenance_holds_all_that_a_result_depends_on(tmp_path: Path) -> None:
+def test_provenance_holds_all_that_a_result_depends_on(tmp_path):
     write_provenance(tmp_path / "a.csv", provenance("ssac x", SimConfig(), 1.25, None))
     text = (tmp_path / "a.provenance.json").read_text()
     for word in ("ssac x", code_commit(), versions()["numpy"], "max_step_px", '"wall_time_s": 1.2'):
@@ -76,12 +75,12 @@ FLOWN = SimConfig(
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
+def recording():
     return simulate(FLOWN, 0)
 
 
 @pytest.mark.render
-def test_figures_are_those_of_the_truth(recording: Recording) -> None:
+def test_figures_are_those_of_the_truth(recording):
     figures = scene_figures(recording)
     # What the truth says of the drone's origin: the mean of its events moves with it, but for the
     # windows that N_min drops, which are the slow ones.
@@ -95,9 +94,7 @@ def test_figures_are_those_of_the_truth(recording: Recording) -> None:
     assert scene_figures(simulate(replace(FLOWN, t_d_s=0.25), 0)) == figures
 
 
-def test_the_command_flies_what_it_is_told_and_shows_each_figure(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, capsys):
     flown = []
 
     def take(config: SimConfig, seed: int) -> SceneFigures:

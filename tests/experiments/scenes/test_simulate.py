@@ -47,7 +47,7 @@ def truth_of(folder: Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plain(tmp_path_factory):
     """A recording with nothing that spoils it."""
     out = tmp_path_factory.mktemp("plain") / "new" / "recording"
     result = run(out, *LATE, "--angle", 60, "--text", "--figures")
@@ -57,7 +57,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.render
-def test_the_folder_holds_what_the_design_says(plain: Path) -> None:
+def test_the_folder_holds_what_the_design_says(plain):
     assert {path.name for path in plain.iterdir()} == {
         "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
         "truth.json", "truth.tum",
@@ -89,8 +89,8 @@ def test_the_folder_holds_what_the_design_says(plain: Path) -> None:
 
 @pytest.mark.render
 def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     options = ["--cameras", 3, "--angle", 50, "--t-d", 0.05, "--frame-rate", 0, "--lamp", 4]
     assert run(tmp_path / "a", *FAST, *options).exit_code == 0
     cameras = truth_of(tmp_path / "a")["cameras"]
@@ -107,7 +107,7 @@ def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(
 
 
 @pytest.mark.render
-def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_arguments_give_the_same_bytes(tmp_path):
     arguments = [*FAST, "--seed", 2**32 - 1, "--noise", "davis346"]
     left = made_by(tmp_path / "b", ended_process())  # by a run that was killed
     left.mkdir()
@@ -118,7 +118,7 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.render
-def test_a_bird_close_to_cameras_of_a_preset_is_recorded_and_written_down(tmp_path: Path) -> None:
+def test_a_bird_close_to_cameras_of_a_preset_is_recorded_and_written_down(tmp_path):
     near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
     preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
     result = run(tmp_path / "near", *FAST, *near, *preset)
@@ -132,7 +132,7 @@ def test_a_bird_close_to_cameras_of_a_preset_is_recorded_and_written_down(tmp_pa
 
 
 @pytest.mark.render
-def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path: Path) -> None:
+def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path):
     options = ["--second-object", 1, "--intrinsics-error", 1, 3, "--lamp", 6]
     assert run(tmp_path / "a", *LATE, "--frame-rate", 0, *options).exit_code == 0
     truth = truth_of(tmp_path / "a")
@@ -154,23 +154,13 @@ def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path
         (["--cameras", 5], "5 of them, 90 deg from each to the next, go once round: use an angle "
          "below 90 deg"),
         (["--cameras", 3, "--background", "a.png", "--background", "b.png"], "one image for all"),
-        (["--duration", "nan"], "--duration: expected 1 to 3600 seconds, got nan"),
-        (["--t-d", "inf"], "--t-d: expected -86400 to 86400 seconds, got inf"),
-        (["--skew-ppm", 1e6], "--skew-ppm: expected -100000 to 100000 ppm, got 1000000"),
         (["--clock-jump", 30, 0.02], "expected a time within the flight, 0 to 20 s, got 30"),
-        (["--clock-jump", 10, -0.02], "expected a size above 0 s, got -0.02"),
         (["--drone", "missing.stl"], "missing.stl does not exist"),
         (["--drone", "hawk"], "expected a mesh file, or one of quadrotor, two-tone, bird, plane"),
-        (["--drone", "bird", "--rotor-hz", 9], "rotors spin on the built-in quadrotors only"),
-        (["--distance", 1.5], "reaches into the camera"),
         (["--trajectory", "missing.csv"], "cannot read the trajectory missing.csv"),
         (["--background", "missing.png"], "missing.png"),
         (["--seed", 2**32], "--seed: expected 0 to 4294967295, got 4294967296"),
-        (["--gl", "vulkan"], "expected auto, osmesa or egl"),
-        (["--lattice", 0, 0], "supersampling lattice"),
-        (["--lamp", 101], "--lamp: expected 0 to 100 pixels, got 101"),
         (["--second-object", 1, "--trajectory", "flight.csv"], "leave out one of them"),
-        (["--intrinsics-error", 11, 0], "intrinsics_error needs 0 to 10 %"),
         (["--lamp", 20, "--resolution", 16, 16, "--focal", 10, "--duration", 1,
           "--frame-rate", 0], "a lamp of 20 x 20 px does not fit into a view of 16 x 16 px"),
         (["--preset", "davis"], "--preset: expected one of davis346, davis346-dim, evk4"),
@@ -180,15 +170,10 @@ def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path
         (["--effect", "threshold_on=0.1"], "expected NAME=VALUE"),  # of the sensor, no effect
         (["--effect", "latency_s=late"], "--effect latency_s: expected a number, got 'late'"),
         (["--effect", "hot_clusters=1.5"], "expected a whole number, got '1.5'"),
-        (["--effect", "jitter_s=-1"], "effects: jitter_s must be 0 or a positive number"),
-        (["--effect", "frame_gap_s=0.02"], "frame_gap_s must be less than 1 / rate_hz"),
-        (["--illuminance", "0"], "--illuminance: expected 0.001 to 1000000 lux, got 0"),
         (["--illuminance", "9", "--effect", "illuminance_lux=8"], "are one: leave one out"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_error_and_leaves_nothing(
-    tmp_path: Path, arguments: list[object], message: str
-) -> None:
+def test_bad_input_is_one_error_and_leaves_nothing(tmp_path, arguments, message):
     result = run(tmp_path / "out", *arguments)
     assert isinstance(result.exception, (SimError, SsacError))
     assert message in str(result.exception)
@@ -210,7 +195,7 @@ OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender",
 DEFAULTS = {name: inspect.signature(simulate_command).parameters[name].default for name in OPTIONS}
 
 
-def test_an_option_that_is_not_given_has_the_default_of_its_field() -> None:
+def test_an_option_that_is_not_given_has_the_default_of_its_field():
     defaults = DEFAULTS | {"distortion": (), "background": ()}
     assert chosen(defaults) == (SimConfig(), DisturbConfig())
 
@@ -222,7 +207,7 @@ def flat(made: tuple[SimConfig, DisturbConfig]) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("name", [name for name, option in OPTIONS.items() if option.field])
-def test_an_option_sets_its_field_and_no_other(name: str) -> None:
+def test_an_option_sets_its_field_and_no_other(name):
     default = DEFAULTS[name]
     value = OTHERS.get(name, 0.5 * default if default and isinstance(default, float) else 1)
     before, after = flat(chosen({})), flat(chosen({name: value}))
@@ -230,7 +215,7 @@ def test_an_option_sets_its_field_and_no_other(name: str) -> None:
     assert changed == {OPTIONS[name].field: value}
 
 
-def test_an_option_keeps_what_else_is_said_of_its_part() -> None:
+def test_an_option_keeps_what_else_is_said_of_its_part():
     config, _ = chosen({"gl": "egl"}, render=RenderConfig(lattice=Lattice(4, 1)))
     assert config.render == RenderConfig(lattice=Lattice(4, 1), backend="egl")
     # Together they fit, each alone does not: 250 frames a second have no room for 5 ms.
@@ -238,7 +223,7 @@ def test_an_option_keeps_what_else_is_said_of_its_part() -> None:
     assert (config.frames.rate_hz, config.frames.exposure_s) == (250.0, 1e-3)
 
 
-def test_options_take_the_place_of_the_presets_values() -> None:
+def test_options_take_the_place_of_the_presets_values():
     ideal, noisy = (chosen_sensor(DEFAULTS | {"noise": name}) for name in PRESETS)
     assert ideal.sensor == SensorConfig()
     assert ideal.effects.is_none
