@@ -42,8 +42,7 @@ _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference 
 class Results:
     """The CSVs, provenances and pages of one folder, each read once; what is missing is one error.
 
-    Its rows are those whose columns have the given values, of which there is one at least; a
-    keyword's double underscore stands for a dot of the column's name.
+    Its rows are those whose columns have the given values, of which there is one at least.
     """
 
     folder: Path
@@ -71,8 +70,7 @@ class Results:
     def rows(self, name: str, /, **where: Any) -> pd.DataFrame:
         """Return rows of a table."""
         rows = self.table(name)
-        for keyword, value in where.items():
-            column = keyword.replace("__", ".")
+        for column, value in where.items():
             rows = rows[self._column(rows, name, column) == value]
         if rows.empty:
             wanted = ", ".join(f"{column} = {value}" for column, value in where.items())

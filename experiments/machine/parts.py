@@ -90,11 +90,11 @@ def peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def best_seconds(work: Callable[[], Result], repeats: int = REPEATS) -> tuple[float, Result]:
+def best_seconds(work: Callable[[], Result]) -> tuple[float, Result]:
     """Least processor time [s] of a few runs after a warm-up, and the result."""
     result = work()
     seconds = []
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         start = time.process_time()
         result = work()
         seconds.append(time.process_time() - start)

@@ -25,8 +25,13 @@ from experiments.lab.verify import Finding
 from experiments.studies import all_studies
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
-from tests.experiments.lab.damage import change_a_status, delete, double_a_number
-from tests.experiments.lab.squares import SQUARES, write_squares
+from tests.experiments.lab.squares import (
+    SQUARES,
+    change_a_status,
+    delete,
+    double_a_number,
+    write_squares,
+)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from experiments.lab.results import SUMS_FILE, csv_text, read_table
 from experiments.lab.schedule import MAX_DEATHS, Task, Workers, recordings_key, run_cells
 from experiments.lab.study import Runs, check_runs, numbered, run_study
 from sim.recording import SimConfig
-from ssac.errors import SsacError
+from ssac.errors import SsacError, WriteError
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 
 NUMBERS = range(4)
@@ -198,10 +198,12 @@ def test_the_command_refuses_before_the_work(tmp_path, monkeypatch):
 # --- What is done, and what is left ---
 
 
-def test_what_is_done_is_not_done_again_and_an_interrupted_study_goes_on(tmp_path):
-    FAULTS["number 2"] = KeyboardInterrupt()
-    with pytest.raises(KeyboardInterrupt):
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), WriteError("the disk is full")])
+def test_what_is_done_is_not_done_again_and_a_stopped_study_goes_on(tmp_path, capsys, error):
+    FAULTS["number 2"] = error
+    with pytest.raises(type(error)):
         run(tmp_path)
+    assert f"stopped: 2 of 4 recordings are done and kept in {tmp_path}" in capsys.readouterr().err
     assert LOADED == [0, 1, 2]
     FAULTS.clear()
     LOADED.clear()

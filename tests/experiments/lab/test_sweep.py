@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from experiments.cli import app
 from experiments.lab import pool as pools
 from ssac.cli.exits import INTERRUPTED
-from ssac.errors import SsacError, WriteError
+from ssac.errors import SsacError
 
 pytestmark = pytest.mark.render
 
@@ -69,11 +69,11 @@ def sweep(config, out, cache, *more):
     return CliRunner().invoke(app, arguments, catch_exceptions=False)
 
 
-def without_runs(folder: Path, name: str, of: Path | None = None) -> Path:
-    """Return a cache with the recordings of another, by default `folder` / cache, but no runs."""
+def without_runs(folder: Path, name: str) -> Path:
+    """Return a cache with the recordings of `folder` / cache, but no runs."""
     cache = folder / name
     cache.mkdir()
-    (cache / "recordings").symlink_to((of or folder / "cache") / "recordings")
+    (cache / "recordings").symlink_to(folder / "cache" / "recordings")
     return cache
 
 
@@ -158,34 +158,6 @@ def test_merged_shards_are_the_same_bytes(folder, config, whole):
     assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
     assert out.read_bytes() == whole.read_bytes()
     assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
-
-
-@pytest.fixture
-def disk(tmp_path):
-    """A file system of 64 KiB in memory."""
-    at = tmp_path / "disk"
-    at.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(at)]
-    try:
-        subprocess.run(mount, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("only root may mount a file system")
-    yield at
-    subprocess.run(["umount", str(at)], check=True)
-
-
-def test_a_sweep_on_a_full_disk_is_one_error_and_goes_on_where_there_is_room(
-    folder, config, whole, disk
-):
-    out, cache = disk / "full.csv", without_runs(disk, "cache", folder / "cache")
-    (disk / "filled").write_bytes(bytes(60 * 1024))
-    with pytest.raises(WriteError, match=str(disk)):
-        sweep(config, out, cache, "--workers", "1")
-    (disk / "filled").unlink()
-    subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)
-    assert sweep(config, out, cache, "--workers", "1").exit_code == 0
-    assert out.read_bytes() == whole.read_bytes()
-    assert not list(disk.rglob(".*"))
 
 
 def test_a_damaged_mesh_in_a_grid_is_an_error_before_any_work(config, tmp_path):

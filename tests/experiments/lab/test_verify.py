@@ -21,15 +21,16 @@ from experiments.lab.verify import (
 )
 from experiments.studies import all_studies
 from ssac.errors import SsacError
-from tests.experiments.lab.damage import (
+from tests.experiments.lab.squares import (
     DAMAGES,
+    SQUARES,
     delete,
     delete_a_row,
     double_a_number,
     double_a_row,
     flip_a_byte,
+    write_squares,
 )
-from tests.experiments.lab.squares import SQUARES, write_squares
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
