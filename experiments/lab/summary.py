@@ -123,7 +123,7 @@ def means_with_stds(means: pd.Series, stds: pd.Series, decimals: int) -> list[st
 def digits(value: float) -> str:
     """Show two significant digits, without an exponent."""
     if not np.isfinite(value):
-        return "none"
+        return UNKNOWN
     rounded = f"{value:.1e}"
     return f"{float(rounded):.{max(1 - int(rounded.split('e')[1]), 0)}f}"
 

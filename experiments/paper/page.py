@@ -72,8 +72,8 @@ def results_page(
         has_further=int(runs["flight"].max()) >= PUBLISHED_RUNS,
         files=" and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables),
         made=provenance,
-        gl=provenance.get("gl") or {},
-        versions=", ".join(f"{name} {v}" for name, v in provenance.get("versions", {}).items()),
+        gl=provenance["gl"] or {},
+        versions=", ".join(f"{name} {v}" for name, v in provenance["versions"].items()),
     )
 
 

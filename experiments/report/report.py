@@ -32,7 +32,6 @@ from experiments.paper.esim import ERRORS, esim_tables
 from experiments.paper.page import page_content
 from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
-from sim.errors import SimError
 from ssac.cli.options import named
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -123,7 +122,7 @@ def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
     return {
         "best": best,
         "best_errors": list(sound.loc[best]) if best else [],
-        "ours": None if of_ssac.empty else means["t_d_error_ms"].get("ssac"),
+        "ours": means.loc["ssac", "t_d_error_ms"],
         "published": of_ssac["published_mean"].mean(),
         "n_good": int(compared["verdict"].isin(["agrees", "better"]).sum()),
         "n_cells": len(compared),
@@ -147,11 +146,6 @@ def make_animation(folder: Path) -> Animation:
     recorded = folder / "cam1.h5", folder / "cam2.h5"
     answer = chain_of(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
     estimate = answer.estimate
-    if estimate.status != "ok":
-        raise SimError(
-            f"{folder}: expected a recording that {METHOD} can synchronise, got {estimate.status} "
-            f"({estimate.reason}): simulate one of 20 s at 90 deg"
-        )
     answers = {(0, 1): answer}
     player = html_report.player_of(answers, html_report.seen_by(answers), tour=True)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))

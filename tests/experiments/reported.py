@@ -52,6 +52,7 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
         "gl": {"backend": "osmesa"},
         "config": {"title": "made up"},
         "wall_time_s": 12.5,
+        "recordings_simulated": 3,
     }
     (folder / "esim_20.provenance.json").write_text(json.dumps(provenance))
 

@@ -21,12 +21,9 @@ from experiments.report.report import (
 )
 from experiments.studies import tables
 from experiments.studies.ablations import ABLATIONS
-from sim.errors import SimError
 from ssac.errors import SsacError
-from ssac.files.hdf5 import load_events_h5, save_events_h5
 from tests.experiments.reported import FIGURES, METHODS, made_up_runs, record_flight, write_results
 from tests.html_pages import EVIL, check_page
-from tests.ssac.synthetic import HEIGHT, WIDTH
 
 
 @pytest.fixture(scope="module")
@@ -154,11 +151,3 @@ def test_the_player_shows_the_offset_that_was_put_in(animation):
     (pair,) = animation.player["pairs"]
     assert animation.player["tour"]
     assert (pair["before"], pair["found"]) == (0.0, animation.estimate.t_d_s)
-
-
-def test_a_recording_that_gives_no_estimate_is_refused(flight, tmp_path):
-    shutil.copytree(flight, tmp_path / "few")
-    events = load_events_h5(flight / "cam2.h5").events
-    save_events_h5(tmp_path / "few" / "cam2.h5", events[: len(events) // 40], WIDTH, HEIGHT)
-    with pytest.raises(SimError, match="tangency can synchronise, got"):
-        make_animation(tmp_path / "few")
