@@ -33,6 +33,9 @@ MERGED = "ssac merge"
 
 SUMS_FILE = "SHA256SUMS"
 
+DIGITS = 6
+"""That the numbers of a table have."""
+
 DPI = 220
 
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
@@ -113,7 +116,7 @@ class Results:
         return rows[column]
 
 
-def csv_text(table: pd.DataFrame, digits: int = 6) -> str:
+def csv_text(table: pd.DataFrame, digits: int = DIGITS) -> str:
     """Write a table as the project's CSV: an empty cell where unknown, lists as JSON."""
     lists = {
         name: table[name].map(json.dumps)

@@ -21,6 +21,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure, PlainCell
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import (
+    DIGITS,
     MERGED,
     PROVENANCE,
     Results,
@@ -68,7 +69,7 @@ class Runs:
     keys: tuple[str, ...]  # columns of which each combination is there once
     columns: tuple[str, ...] = ()  # that are written, in their order; all, unless some are named
     numbered: bool = True  # whether a column CELL comes first; that of a shard always has it
-    digits: int = 6
+    digits: int = DIGITS
     took: tuple[str, ...] = ()  # columns of what a run took: another time, even here
     table: Callable[[pd.DataFrame, Results], pd.DataFrame] | None = None
     """Makes what is written of the rows, where that is not a line for each; of a shard all are."""
@@ -82,7 +83,6 @@ class Made:
     # Of Results, then of recordings' folders; what is None then is not there. None: the study's
     # own command makes it, of what nobody else has.
     make: "Callable[..., pd.DataFrame | Figure | bytes | str | None] | None"
-    digits: int = 6
     # That it is made of too, by the options of `cells`: verify has its checksum alone.
     recordings: Callable[..., tuple[Flight, ...]] | None = None
     config: Mapping[str, Any] | None = None  # of its provenance, where it is not the study's
@@ -101,7 +101,7 @@ class Made:
         assert self.make is not None
         made = self.make(results, *folders)
         if isinstance(made, pd.DataFrame):
-            made = csv_text(made, self.digits)
+            made = csv_text(made)
         if made is None or isinstance(made, bytes):
             return made
         return made.encode() if isinstance(made, str) else png_bytes(made)

@@ -55,9 +55,9 @@ def statistics(runs: pd.DataFrame, columns: Sequence[str], *names: str) -> dict[
     return {f"{one}_{name}": _STATISTICS[name](runs[one]) for one in columns for name in names}
 
 
-def made_of(file: str, make: Callable[[pd.DataFrame], Any], table: str, **more: Any) -> Made:
+def made_of(file: str, make: Callable[[pd.DataFrame], Any], table: str) -> Made:
     """Declare a file that is made of one table of results alone."""
-    return Made(file, lambda results: make(results.table(table)), **more)
+    return Made(file, lambda results: make(results.table(table)))
 
 
 def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:

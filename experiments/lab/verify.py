@@ -19,6 +19,7 @@ import pandas as pd
 from experiments.lab.cell import CRASHED, PlainCell
 from experiments.lab.provenance import plain, processor, versions
 from experiments.lab.results import (
+    DIGITS,
     PROVENANCE,
     SUMS_FILE,
     Results,
@@ -278,7 +279,7 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
     text, again = results.text(made.file), (made.bytes_of(results) or b"").decode()
     elsewhere = any(one.get("processor") != processor() for one in made_with)
     if made.file.endswith(".csv") and elsewhere:
-        again = _with_last_digits_of(text, again, made.digits)
+        again = _with_last_digits_of(text, again)
     return text_difference(text, again)
 
 
@@ -288,14 +289,14 @@ def table_of_texts(text: str) -> pd.DataFrame:
     return table
 
 
-def _with_last_digits_of(text: str, again: str, digits: int) -> str:
+def _with_last_digits_of(text: str, again: str) -> str:
     """Take from a text the numbers that differ from those made again by a unit of the last."""
     theirs, mine = table_of_texts(text), table_of_texts(again)
     if theirs.shape != mine.shape or list(theirs) != list(mine):
         return again
     for name in mine:
         a, b = (pd.to_numeric(one[name], errors="coerce") for one in (mine, theirs))
-        is_near = [near(*pair, digits) for pair in zip(a, b, strict=True)]
+        is_near = [near(*pair, DIGITS) for pair in zip(a, b, strict=True)]
         mine[name] = mine[name].where(~np.array(is_near, dtype=bool), theirs[name])
     return csv_text(mine)
 

@@ -368,7 +368,7 @@ STUDIES = (
         SCORED,
         Runs(f"{PAIRS}.csv", tuple(KEY), numbered=False, digits=_DIGITS),
         (
-            *(Made(f"{name}.csv", None, _DIGITS) for name in (TRIPLES, STRAYS, PATHS)),
+            *(Made(f"{name}.csv", None) for name in (TRIPLES, STRAYS, PATHS)),
             *(Made(PATH_FIGURE.format(number), None) for number in DATA_SETS),
             Made(OFFSETS_FIGURE, real_figure),
         ),
