@@ -184,7 +184,7 @@ def _flights(
 ) -> dict[str, Any]:
     """Lay out one of the paper's tables, and the methods that it does not have."""
     part = comparison[comparison["duration_s"] == duration_s]
-    published = {quantity.method for quantity in PUBLISHED_ERRORS} if len(part) else set()
+    published = {quantity.method for quantity in PUBLISHED_ERRORS}
     methods = method_order(runs.loc[runs["duration_s"] == duration_s, "method"])
     others = [name for name in methods if name not in published]
     posed = [name for name in pose_methods(runs) if name in others]
@@ -197,8 +197,8 @@ def _flights(
     }
 
 
-def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table | None:
-    """Ours, the paper's and the verdict, one row for each angle and offset; None without any."""
+def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table:
+    """Ours, the paper's and the verdict, one row for each angle and offset."""
     columns: list[tuple[str, list[str]]] = []
     for quantity in PUBLISHED_ERRORS:
         chosen = part[part["quantity"] == quantity.name]
@@ -209,7 +209,7 @@ def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table
                 for head, whose in ((label(quantity.name), "ours"), ("paper", "published"))
             ]
             columns.append(("verdict", list(chosen["verdict"])))
-    return _table(columns) if len(part) else None
+    return _table(columns)
 
 
 def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table | None:
