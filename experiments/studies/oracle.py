@@ -15,16 +15,16 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure, panels
+from experiments.drawing.style import Figure
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure, RunRow
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, shown_table
-from experiments.paper.esim import ERRORS, R_ERROR, T_D_ERROR
-from experiments.studies.tangency import AS_IT_IS, FLOWN, flights
+from experiments.paper.esim import ERRORS, T_D_ERROR
+from experiments.studies.tangency import AS_IT_IS, FLOWN, ErrorRow, error_bars, flights
 from sim.recording import Scene
 from ssac.arrays import Array
 from ssac.camera import Camera, known_pose
@@ -49,15 +49,6 @@ class CauseCell(FlightCell):
     """A flight, and what is put right of what is found in it."""
 
     cause: str
-
-
-@dataclass(frozen=True)
-class CauseRow(RunRow):
-    """The errors that are left."""
-
-    t_d_error_ms: float = np.nan
-    r_error_deg: float = np.nan
-    t_error_deg: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +143,7 @@ def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
     return FilmedPair(pair, (one, other))
 
 
-def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> CauseRow:
+def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
     """Run `tangency` with some truth, and score what it gives."""
     (cam1, cam2, rig), cause = filmed_pair.pair, cell.cause
     config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
@@ -161,7 +152,7 @@ def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> CauseRow:
             stack.enter_context(patch.object(tangency, name, of_truth))
         method = "tangency-known" if cause == POSE else "tangency"
         estimate = Chain((cam1, cam2), rig, config).estimate(method)
-    return CauseRow(**kept(CauseRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))))
+    return ErrorRow(**kept(ErrorRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))))
 
 
 def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -178,16 +169,8 @@ def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def cause_figure(table: pd.DataFrame) -> Figure:
     """Draw the mean errors that are left, those of the method as it is as a line."""
-    figure, (axes,) = panels("What is left of the error of tangency", 3.4, columns=2, sharey=True)
-    lines = np.arange(len(table))
-    for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
-        ax.grid(visible=False)
-        ax.barh(lines, table[error.column], color="0.65", height=0.7)
-        own = float(table.loc[table["cause"] == AS_IT_IS, error.column].iloc[0])
-        ax.axvline(own, color="0.3", lw=0.8, ls=":")
-        ax.set_xlabel(error.label, fontsize=9)
-    axes[0].set_yticks(lines, table["cause"], fontsize=8)
-    axes[0].invert_yaxis()
+    figure = error_bars("What is left of the error of tangency", 3.4, table, "cause", "0.65")
+    figure.axes[0].invert_yaxis()
     return figure
 
 
@@ -204,7 +187,7 @@ STUDIES = (
         "oracle",
         "What limits the method tangency: the error with parts of the truth",
         cause_cells,
-        Measure(load_filmed, cause_row, CauseRow),
+        Measure(load_filmed, cause_row, ErrorRow),
         Runs("oracle_runs.csv", ("angle_deg", "flight", "cause")),
         (made_of("oracle.csv", cause_table, "oracle_runs"),
          made_of("oracle.png", cause_figure, "oracle")),

@@ -86,12 +86,18 @@ class VariantCell(FlightCell):
 
 
 @dataclass(frozen=True)
-class VariantRow(RunRow):
-    """Errors of a variant on a flight."""
+class ErrorRow(RunRow):
+    """Errors on a flight."""
 
     t_d_error_ms: float = np.nan
     r_error_deg: float = np.nan
     t_error_deg: float = np.nan
+
+
+@dataclass(frozen=True)
+class VariantRow(ErrorRow):
+    """Errors of a variant."""
+
     t_d_bias_ms: float = np.nan  # the error with its sign
     normalised: float = np.nan  # that over its stated deviation
 
@@ -149,24 +155,30 @@ def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
 def study_figure(means: pd.DataFrame) -> Figure:
     """Draw the variants' mean errors: t_d's at the worst angle as a tick, the method's in black."""
     variants = means[means["variant"] != JOINT]
-    as_it_is = variants["variant"] == AS_IT_IS
-    colors = np.where(as_it_is, method_looks(["tangency"])["tangency"].color, "0.65")
-    lines = np.arange(len(variants))
-    height_in = 1.4 + 0.22 * len(variants)
-    title = "Mean errors (bars) of variants of tangency"
+    own = method_looks(["tangency"])["tangency"].color
+    colors = np.where(variants["variant"] == AS_IT_IS, own, "0.65")
+    title, height_in = "Mean errors (bars) of variants of tangency", 1.4 + 0.22 * len(variants)
+    figure = error_bars(title, height_in, variants, "variant", colors)
+    figure.axes[0].plot(
+        variants[_WORST], np.arange(len(variants)), "|", color="#D55E00", ms=9, mew=1.5,
+        label="at the worst angle",
+    )  # fmt: skip
+    figure.axes[0].set_ylim(len(variants) - 0.4, -0.6)
+    legend_below(figure, 2)
+    return figure
+
+
+def error_bars(title: str, height_in: float, means: pd.DataFrame, of: str, color: Any) -> Figure:
+    """Draw mean errors as bars, named by a column, those of the method as it is as a line."""
     figure, (axes,) = panels(title, height_in, columns=2, sharey=True)
+    lines = np.arange(len(means))
     for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
         ax.grid(visible=False)
-        ax.barh(lines, variants[error.column], color=colors, height=0.7)
-        own = float(variants.loc[as_it_is, error.column].iloc[0])
+        ax.barh(lines, means[error.column], color=color, height=0.7)
+        own = float(means.loc[means[of] == AS_IT_IS, error.column].iloc[0])
         ax.axvline(own, color="0.3", lw=0.8, ls=":", label="the method as it is")
         ax.set_xlabel(error.label, fontsize=9)
-    axes[0].plot(
-        variants[_WORST], lines, "|", color="#D55E00", ms=9, mew=1.5, label="at the worst angle"
-    )
-    axes[0].set_yticks(lines, variants["variant"], fontsize=8)
-    axes[0].set_ylim(len(variants) - 0.4, -0.6)
-    legend_below(figure, 2)
+    axes[0].set_yticks(lines, means[of], fontsize=8)
     return figure
 
 

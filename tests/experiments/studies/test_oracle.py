@@ -6,19 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.studies.oracle import (
-    AS_IT_IS,
-    BODY,
-    BOTH,
-    CLOCKS,
-    POSE,
-    TANGENTS,
-    VELOCITIES,
-    CauseCell,
-    FilmedPair,
-    cause_row,
-    load_filmed,
-)
+from experiments.studies import oracle
+from experiments.studies.oracle import CauseCell, FilmedPair
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.camera import known_pose
@@ -35,12 +24,12 @@ SIM = SimConfig(
     spline=replace(SimConfig().spline, duration_s=5.0),
     frames=FrameConfig(rate_hz=0.0),
 )
-CELL = CauseCell(SIM, 0, 1, AS_IT_IS)
+CELL = CauseCell(SIM, 0, 1, oracle.AS_IT_IS)
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> FilmedPair:
-    return load_filmed([CELL], Cache(tmp_path_factory.mktemp("cache")))
+    return oracle.load_filmed([CELL], Cache(tmp_path_factory.mktemp("cache")))
 
 
 def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: FilmedPair) -> None:
@@ -62,16 +51,13 @@ def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: FilmedPair)
         assert np.median(np.abs(moved / np.sum(px_s[:-1] ** 2, axis=1) - 1.0)[stays]) < 0.05
 
 
-@pytest.mark.parametrize(("cause", "share"), [(TANGENTS, 1e-3), (BOTH, 1e-3), (BODY, 0.5)])
-def test_truth_takes_the_error_away(cause: str, share: float, flown: FilmedPair) -> None:
-    as_it_is, right = (cause_row(replace(CELL, cause=one), flown) for one in (AS_IT_IS, cause))
-    assert as_it_is.status == right.status == "ok"
-    assert right.t_d_error_ms < share * as_it_is.t_d_error_ms
+def test_truth_takes_the_error_away_and_each_truth_is_used(flown: FilmedPair) -> None:
+    found = {one: oracle.cause_row(replace(CELL, cause=one), flown) for one in oracle.CAUSES}
+    assert {one.status for one in found.values()} == {"ok"}
+    errors_ms = {cause: one.t_d_error_ms for cause, one in found.items()}
+    for cause, share in ((oracle.TANGENTS, 1e-3), (oracle.BOTH, 1e-3), (oracle.BODY, 0.5)):
+        assert errors_ms[cause] < share * errors_ms[oracle.AS_IT_IS], cause
+    assert found[oracle.POSE].r_error_deg == found[oracle.POSE].t_error_deg == 0.0
+    used = (oracle.AS_IT_IS, oracle.POSE, oracle.VELOCITIES, oracle.CLOCKS)
+    assert len({errors_ms[cause] for cause in used}) == len(used)
     assert tangency.tangents is tangents  # nothing stays in its place
-
-
-def test_other_truth_is_used(flown: FilmedPair) -> None:
-    found = {one: cause_row(replace(CELL, cause=one), flown) for one in (POSE, VELOCITIES, CLOCKS)}
-    assert found[POSE].r_error_deg == found[POSE].t_error_deg == 0.0
-    errors_ms = [cause_row(CELL, flown).t_d_error_ms, *(one.t_d_error_ms for one in found.values())]
-    assert len(set(errors_ms)) == len(errors_ms)
