@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from experiments.drawing.style import Figure, panels
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, Measure, PlainCell
+from experiments.lab.cell import Measure
 from experiments.lab.command import command_of
 from experiments.lab.recorded import Pair
 from experiments.lab.score import Truth
@@ -78,27 +78,21 @@ SETTINGS: Mapping[str, Setting] = {
 
 
 @dataclass(frozen=True)
-class HandCell(PlainCell):
+class HandCell(OddCell):
     """A setting on one recording."""
 
-    recording: OddCell
     setting: str
     every: bool  # even where the default is right
 
     @property
-    def recordings(self) -> tuple[Flight, ...]:
-        """The one flight."""
-        return self.recording.recordings
-
-    @property
     def columns(self) -> dict[str, Any]:
         """Which run it is."""
-        return {**self.recording.columns, "setting": self.setting}
+        return {**super().columns, "setting": self.setting}
 
     @property
     def inputs(self) -> tuple[Any, ...]:
         """What the row depends on beside recording and code."""
-        return *self.recording.inputs, self.setting, self.every
+        return *super().inputs, self.setting, self.every
 
 
 @dataclass(frozen=True)
@@ -124,7 +118,7 @@ def hand_cells(
         raise SsacError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
     drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
     return [
-        HandCell(one, setting, every and setting != UNASKED)
+        HandCell(**vars(one), setting=setting, every=every and setting != UNASKED)
         for one in drawn_ones
         if kind in ("", one.kind)
         for setting in SETTINGS
@@ -169,8 +163,8 @@ class Tried:
 
 def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
     """Load the recording that the cells share."""
-    pair = recorded(cells[0].recording, cache)
-    return Tried(pair, truth_of(cells[0].recording, pair))
+    pair = recorded(cells[0], cache)
+    return Tried(pair, truth_of(cells[0], pair))
 
 
 def hand_row(cell: HandCell, tried: Tried) -> HandRow:

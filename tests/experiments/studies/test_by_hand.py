@@ -9,17 +9,7 @@ from typer.testing import CliRunner
 
 from experiments.cli import app
 from experiments.studies import by_hand
-from experiments.studies.by_hand import (
-    SETTINGS,
-    SPARED,
-    UNASKED,
-    HandRow,
-    beyond,
-    hand_cells,
-    hand_figure,
-    hand_table,
-    right,
-)
+from experiments.studies.by_hand import SETTINGS, HandRow
 from experiments.worlds import odd
 from experiments.worlds.odd import KINDS, drawn
 from ssac.errors import SsacError
@@ -36,9 +26,9 @@ def frame(*rows: HandRow) -> pd.DataFrame:
 
 
 def test_a_recording_follows_from_its_number_alone() -> None:
-    few, later = hand_cells(1, 0, 20), hand_cells(1, 10, 10)
+    few, later = by_hand.hand_cells(1, 0, 20), by_hand.hand_cells(1, 10, 10)
     assert few[10 * len(SETTINGS) :] == later
-    assert [one.recording.kind for one in few[:: len(SETTINGS)]] == (3 * list(KINDS))[:20]
+    assert [one.kind for one in few[:: len(SETTINGS)]] == (3 * list(KINDS))[:20]
     assert drawn(1, 4).sim != drawn(2, 4).sim
     assert drawn(1, 4).seed != drawn(1, 13).seed
     # Where the clocks are alters nothing else.
@@ -71,10 +61,10 @@ def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
         REFUSED,
     ]
     rows = frame(RIGHT, POSELESS, replace(RIGHT, r_mahalanobis=9.0), *wrong)
-    assert right(rows).tolist() == 3 * [True] + 4 * [False]
-    assert beyond(rows)["R"].tolist() == [False, False, True] + 4 * [False]
-    assert beyond(rows)["t_d"].tolist() == 3 * [False] + [True] + 3 * [False]
-    assert beyond(rows)["t"].tolist() == 5 * [False] + [True, False]
+    assert by_hand.right(rows).tolist() == 3 * [True] + 4 * [False]
+    assert by_hand.beyond(rows)["R"].tolist() == [False, False, True] + 4 * [False]
+    assert by_hand.beyond(rows)["t_d"].tolist() == 3 * [False] + [True] + 3 * [False]
+    assert by_hand.beyond(rows)["t"].tolist() == 5 * [False] + [True, False]
 
 
 def runs_of(*tried: tuple[HandRow, HandRow]) -> pd.DataFrame:
@@ -83,15 +73,15 @@ def runs_of(*tried: tuple[HandRow, HandRow]) -> pd.DataFrame:
     rows = [
         {**cell.columns, "setting": setting, **vars(row)}
         for cell, pair in zip(cells, tried, strict=True)
-        for setting, row in zip((UNASKED, "--search-all"), pair, strict=True)
+        for setting, row in zip((by_hand.UNASKED, "--search-all"), pair, strict=True)
     ]
     return pd.DataFrame(rows)
 
 
 def test_the_table_says_what_became_of_each_recording() -> None:
-    table = hand_table(
+    table = by_hand.hand_table(
         runs_of(
-            (RIGHT, HandRow(SPARED)),
+            (RIGHT, HandRow(by_hand.SPARED)),
             (replace(RIGHT, t_d_error_ms=20.0, t_d_normalised=7.0), RIGHT),
             (REFUSED, RIGHT),
             (POSELESS, RIGHT),
@@ -109,14 +99,14 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     assert (row["R_given"], row["R_held"], row["t_held"]) == (2, 1.0, 1.0)
     assert table.loc["plain", "right"] == 1
     assert table.loc["faint", "settings"] == ""
-    assert len(hand_figure(table.reset_index()).axes) == 2
+    assert len(by_hand.hand_figure(table.reset_index()).axes) == 2
 
 
 def test_the_command_tries_settings_where_the_default_is_not_right(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(odd, "recorded_pair", lambda *_: flown())
-    some = {name: SETTINGS[name] for name in (UNASKED, "--search-all", "--method joint")}
+    some = {name: SETTINGS[name] for name in (by_hand.UNASKED, "--search-all", "--method joint")}
     monkeypatch.setattr(by_hand, "SETTINGS", some)
     line = ["by-hand", "--base", "1", "--first", "17", "--recordings", "1", "--workers", "1"]
 
@@ -128,15 +118,15 @@ def test_the_command_tries_settings_where_the_default_is_not_right(
 
     default, *others = tried("--far", "0").to_dict("records")
     assert (default["status"], default["kind"]) == ("ok", "wide"), default["reason"]
-    assert {one["status"] for one in others} == {SPARED}
+    assert {one["status"] for one in others} == {by_hand.SPARED}
     # A flight of 6 s: some ms at most, as its deviation says.
     assert abs(default["t_d_normalised"]) < 4.0
     assert default["cpu_s"] > 0.0
     every = tried("--far", "0", "--every")
     assert every.loc["--method joint", "status"] == "ok"
-    assert every.loc[UNASKED, "t_d_estimate_ms"] == default["t_d_estimate_ms"]
+    assert every.loc[by_hand.UNASKED, "t_d_estimate_ms"] == default["t_d_estimate_ms"]
 
 
 def test_a_kind_that_is_none_is_one_line() -> None:
     with pytest.raises(SsacError, match=r"--kind: expected one of plain, .*, got 'odd'"):
-        hand_cells(kind="odd")
+        by_hand.hand_cells(kind="odd")
