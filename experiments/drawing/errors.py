@@ -15,17 +15,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.drawing.style import (
     STANDARD_ERROR,
     SURVIVORS,
+    Axes,
     Figure,
     Look,
     Named,
+    label_log_axis,
     legend_below,
     mark_survivors,
     method_looks,
@@ -180,7 +178,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
     return _error_grid(title, cells, 8.4, draw, _handles(looks, 0, rms, bound))
 
 
-def success_figure(runs: pd.DataFrame, _: Any = None) -> Figure:
+def success_figure(runs: pd.DataFrame) -> Figure:
     """Draw the share of all runs, the refused among them, whose error is below a threshold.
 
     Beside each method stands the area under its curve, in percent of all there is.
@@ -219,7 +217,7 @@ def _error_grid(
     table: pd.DataFrame,
     height_in: float,
     draw: Callable[[Axes, float, pd.DataFrame, Quantity], None],
-    handles: Sequence[Line2D],
+    handles: Sequence[Any],
     bottom: float | None = None,
     **ratios: Any,
 ) -> Figure:
@@ -236,7 +234,7 @@ def _error_grid(
             axes.set(yscale="log", xticks=angles_deg)
             if bottom is not None:
                 axes.set_ylim(bottom=bottom)
-            _label_log_axis(axes.yaxis, bottom is None or error is not T_D_ERROR)
+            label_log_axis(axes.yaxis, bottom is None or error is not T_D_ERROR)
         row[0].set_ylabel(error.label)
     for column, duration_s in zip(grid.T, durations_s, strict=True):
         column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
@@ -309,13 +307,15 @@ def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **
         mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], **marks)
 
 
-def _handles(looks: Mapping[str, Look], width: float, *others: Named) -> list[Line2D]:
+def _handles(looks: Mapping[str, Look], width: float, *others: Named) -> list[Any]:
     """Name looks in a legend, then other marks."""
     of_looks = [(name, {"lw": width, "ms": 5, **look.style}) for name, look in looks.items()]
     return _named(*of_looks, *others)
 
 
-def _named(*marks: Named) -> list[Line2D]:
+def _named(*marks: Named) -> list[Any]:
+    from matplotlib.lines import Line2D
+
     return [Line2D([], [], label=text, **{"color": "0.3", **style}) for text, style in marks]
 
 
@@ -428,10 +428,12 @@ def _draw_line(
 
 def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
     """Set both axes; those of a column share them."""
+    from matplotlib.ticker import NullLocator
+
     values = look.scale * np.unique(means[look.x].to_numpy(np.float64))
     if look.log:
         axes.set_xscale("log")
-        _label_log_axis(axes.xaxis, values.max() < _SHORT * values.min())
+        label_log_axis(axes.xaxis, values.max() < _SHORT * values.min())
     if len(values) <= _MAX_VALUES:
         axes.set_xticks(values)
         axes.xaxis.set_minor_locator(NullLocator())
@@ -441,13 +443,4 @@ def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: s
         axes.set_ylim(bottom=0.0)
     else:
         axes.set_yscale("log")
-        _label_log_axis(axes.yaxis, found.max() < _SHORT * found.min())
-
-
-def _label_log_axis(axis: Axis, is_short: bool) -> None:
-    """Write plain numbers, and enough of them, on a logarithmic axis."""
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter("")
-    if is_short:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_minor_locator(NullLocator())
+        label_log_axis(axes.yaxis, found.max() < _SHORT * found.min())

@@ -101,6 +101,17 @@ def mark_survivors(
             axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, **at)
 
 
+def label_log_axis(axis: Any, is_short: bool = False) -> None:
+    """Write plain numbers, and enough of them, on a logarithmic axis."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
+    if is_short:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_minor_locator(NullLocator())
+
+
 def quiet_axes(axes: Axes) -> None:
     """Leave only what is read: light horizontal lines, and no frame above and on the right."""
     axes.spines[["top", "right"]].set_visible(False)

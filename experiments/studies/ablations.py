@@ -6,13 +6,14 @@ grid see the same flights. Of a user's own grid docs/sweeps.md says what the col
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from experiments.drawing import of_errors
+from experiments.drawing.errors import ablation_figure
 from experiments.drawing.style import Figure, legend_below, mark_survivors, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.results import Results
@@ -58,11 +59,9 @@ def sizes_table(results: Results) -> str:
 
 def largest_with_noise(results: Results) -> str:
     """Give the largest mean errors of `tangency` in a cell with a DAVIS346's noise."""
-    found = []
-    for error in NOISY_MARKS:
-        means = results.column("ablation_davis346", f"{error.column}_mean", method="tangency")
-        found.append(f"{np.nanmax(means):.3f} {error.unit}")
-    return ", ".join(found)
+    rows = results.rows("ablation_davis346", method="tangency")
+    most = {error: rows[f"{error.column}_mean"].max() for error in NOISY_MARKS}
+    return ", ".join(f"{value:.3f} {error.unit}" for error, value in most.items())
 
 
 def marks_with_noise(_: Results) -> str:
@@ -84,7 +83,7 @@ def ablation_study(grid: GridConfig, command: str = "") -> Study:
     name, runs = grid.name, f"{grid.name}_runs"
     makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
     if grid.figure is not None:
-        makes.append(made_of(f"{name}.png", of_errors("ablation_figure", lambda: grid), name))
+        makes.append(made_of(f"{name}.png", partial(ablation_figure, grid=grid), name))
     return Study(
         name, grid.title, grid.cells, SCORED,
         Runs(f"{runs}.csv", (*grid.varied, "flight", "method")), tuple(makes),
@@ -129,15 +128,10 @@ def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 
 def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
     """Mean of an error with its interval, and the median."""
-    values = column.dropna().to_numpy(np.float64)
-    n, half = len(values), np.nan
-    if n == 0:
-        return dict.fromkeys(("mean", "low", "high", "median"), np.nan)
-    if n > 1:
-        deviation = float(np.std(values, ddof=1)) / np.sqrt(n)
-        half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1)) * deviation
-    mean = float(np.mean(values))
-    return {"mean": mean, "low": mean - half, "high": mean + half, "median": np.median(values)}
+    values: Any = column.dropna()
+    mean, freedom = values.mean(), len(values) - 1
+    half = float(student.ppf(0.5 + 0.5 * LEVEL, freedom)) * values.sem()
+    return {"mean": mean, "low": mean - half, "high": mean + half, "median": values.median()}
 
 
 def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:

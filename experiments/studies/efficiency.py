@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing import of_errors
+from experiments.drawing.errors import efficiency_figure
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.grid import named_config
@@ -125,7 +125,7 @@ STUDIES = (
         Runs("efficiency_runs.csv", FLIGHT),
         (
             Made("efficiency.csv", summary),
-            made_of("efficiency.png", of_errors("efficiency_figure"), "efficiency"),
+            made_of("efficiency.png", efficiency_figure, "efficiency"),
         ),
         numbers={f"bound.{m}": partial(share, method=m) for m in ("ssac", "joint", "tangency")},
         config={"tables": TABLES, "methods": list(SAMPLES)},

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing import of_errors
-from experiments.drawing.style import Figure, legend_below, method_looks, panels
+from experiments.drawing.errors import error_figure
+from experiments.drawing.style import Figure, label_log_axis, legend_below, method_looks, panels
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
@@ -63,6 +63,11 @@ def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.
 def published_tables() -> dict[float, pd.DataFrame]:
     """Read the paper's physical tables, by duration [s]."""
     return load_published(PUBLISHED, "mini", DURATIONS_S)
+
+
+def mini_figure(runs: pd.DataFrame) -> Figure:
+    """Draw the errors of a table beside the paper's."""
+    return error_figure(runs, published_tables())
 
 
 def comparison(results: Results) -> pd.DataFrame:
@@ -118,7 +123,7 @@ def _study(duration_s: float, *more: Made, **others: Any) -> Study:
         bench.PHYSICAL,
         Runs(f"{name}_runs.csv", ("angle_deg", "t_d_ms", "flight", "method")),
         (made_of(f"{name}.csv", partial(esim_table, duration_s=duration_s), f"{name}_runs"),
-         made_of(f"{name}.png", of_errors("error_figure", published_tables), f"{name}_runs"),
+         made_of(f"{name}.png", mini_figure, f"{name}_runs"),
          *more),
         checks=scored_checks(f"{name}_runs"),
         config=_config(duration_s),
@@ -202,8 +207,7 @@ def budget_figure(summary: pd.DataFrame) -> Figure:
             axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
             axes.set(xscale="log")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_formatter("")
+            label_log_axis(axes.xaxis)
             axes.set_xlabel(quantity.label, fontsize=9)
             if name == T_D_ERROR.column:
                 axes.set_title(method, fontsize=10, loc="left")
@@ -327,8 +331,7 @@ def latency_figure(summary: pd.DataFrame) -> Figure:
     axes.plot(both["light_ratio"], both["swapped_ms"], color="0.5", ls=":", marker="x",
               label="mean with the lights swapped")  # fmt: skip
     axes.set(xscale="log", xticks=RATIOS)
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter("")
+    label_log_axis(axes.xaxis)
     axes.set_xlabel("light of camera 2 over that of camera 1")
     axes.set_ylabel("apparent offset less the clocks' [ms]")
     axes.legend(fontsize=8, frameon=False, title_fontsize=8,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing import of_errors
+from experiments.drawing.errors import beyond_figure, error_figure, success_figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
 from experiments.lab.grid import Cell
@@ -19,16 +19,8 @@ from experiments.lab.summary import answered, digits, listed, markdown_table, re
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
-from experiments.paper.esim import (
-    DURATIONS_S,
-    ERRORS,
-    POSE_ERRORS,
-    T_D_ERROR,
-    TABLES,
-    offset_ms,
-    table_cells,
-    table_grids,
-)
+from experiments.paper.comparison import load_published
+from experiments.paper.esim import DURATIONS_S, ERRORS, TABLES, table_cells
 from experiments.paper.page import results_page
 from ssac.errors import SsacError
 
@@ -56,7 +48,7 @@ def cells(renderer: RendererOption = "native", check: CheckOption = True) -> lis
 def _place(cell: Cell) -> dict[str, float]:
     sim = cell.sim
     return {"duration_s": sim.spline.duration_s, "angle_deg": sim.angle_deg,
-            "t_d_ms": offset_ms(cell)}  # fmt: skip
+            "t_d_ms": esim.offset_ms(cell)}  # fmt: skip
 
 
 # --- What is made of the runs ---
@@ -85,7 +77,7 @@ def comparison(results: Results) -> pd.DataFrame:
 def _compared(text: str) -> pd.DataFrame:
     runs = _read(text)
     first = esim.esim_tables(runs[runs["flight"] < compared.PUBLISHED_RUNS])
-    published = compared.load_published()
+    published = load_published()
     return compared.comparison_table(esim.esim_tables(runs), published, first=first)
 
 
@@ -111,7 +103,7 @@ def _impossible(runs: pd.DataFrame) -> "pd.Series[bool]":
 
 def _poses_at_times(results: Results) -> list[str]:
     ok = answered(results.table("runs"))
-    poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
+    poses = ok[list(esim.POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
@@ -196,7 +188,7 @@ def methods_table(results: Results) -> str:
         for error in (quantity.column for quantity in SYMBOLS.values()):
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
             # of methods with the pose known, that of R and t is the pose they were given
-            is_given = method.endswith("-known") and error != T_D_ERROR.column
+            is_given = method.endswith("-known") and error != esim.T_D_ERROR.column
             means = np.array(cell_means(results, method, error) if has_it and not is_given else [])
             known = means[np.isfinite(means)]
             ranges.append(f"{digits(known.min())} to {digits(known.max())}" if len(known) else "")
@@ -235,13 +227,13 @@ STUDIES = (
             Made("comparison.csv", comparison),
             Made("comparison_summary.csv", lambda of: compared.summary_table(comparison(of))),
             Made("README.md", page),
-            made_of_runs("error_vs_angle.png", of_errors("error_figure", compared.load_published)),
-            made_of_runs("beyond_paper.png", of_errors("beyond_figure", compared.load_published)),
-            made_of_runs("success.png", of_errors("success_figure")),
+            made_of_runs("error_vs_angle.png", lambda runs: error_figure(runs, load_published())),
+            made_of_runs("beyond_paper.png", lambda runs: beyond_figure(runs, load_published())),
+            made_of_runs("success.png", success_figure),
         ),
         numbers=NUMBERS,
         checks=CHECKS,
-        config={grid.name: grid.content for grid in table_grids()},
+        config={grid.name: grid.content for grid in esim.table_grids()},
         command="ssac tables",
         shows="comparison_summary",
     ),

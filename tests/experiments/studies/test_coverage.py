@@ -8,13 +8,8 @@ import pandas as pd
 import pytest
 
 from experiments.drawing.errors import pooled
-from experiments.studies.coverage import (
-    LEVELS,
-    QUANTITIES,
-    confidence,
-    coverage_table,
-    sampling_bounds,
-)
+from experiments.studies import coverage
+from experiments.studies.coverage import QUANTITIES, coverage_table
 from experiments.studies.efficiency import efficiency_table, runs_beside_bounds
 from experiments.worlds.bound import KNOWN_POSE, SAMPLES
 from tests.experiments.reported import made_up_runs
@@ -59,7 +54,7 @@ def test_right_deviations_cover_what_they_say(right: pd.DataFrame, quantity: str
     assert (row["n_runs"], row["refused"]) == (400, 0)
     # 400 runs: 1 / sqrt(800) of the root mean square and sqrt(p (1 - p) / 400), four times each.
     assert row["rms_normalised"] == pytest.approx(1.0, abs=0.14)
-    for level in LEVELS:
+    for level in coverage.LEVELS:
         name = f"coverage_{100 * level:g}"
         assert row[name] == pytest.approx(level, abs=0.2 * np.sqrt(level * (1.0 - level)))
         assert row[f"{name}_low"] < row[name] < row[f"{name}_high"] or row[name] == 1.0
@@ -95,11 +90,12 @@ def test_a_refused_run_is_counted_and_covers_nothing() -> None:
 
 def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> None:
     # Their closed forms at the ends: (1 - share)^n = 0.025, and the mirror of it for all inside.
-    assert sampling_bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
-    assert sampling_bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
-    assert sampling_bounds(475, 500) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
+    bounds = coverage.sampling_bounds
+    assert bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
+    assert bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
+    assert bounds(475, 500) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
     for parameters, limit in ((1, 1.96), (1, -1.96), (2, 2.4477), (3, 2.7955)):
-        assert confidence(np.array([limit]), parameters) == pytest.approx(0.95, abs=1e-4)
+        assert coverage.confidence(np.array([limit]), parameters) == pytest.approx(0.95, abs=1e-4)
 
 
 def made_up_bounds(flights: int = 3) -> pd.DataFrame:
