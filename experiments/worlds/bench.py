@@ -15,8 +15,8 @@ from typing import Annotated, Any
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell, flight_seed
-from experiments.lab.recorded import Pair, load_pair
-from experiments.lab.scored import Frames, Row, frames_of, scored_row
+from experiments.lab.recorded import Flown, Pair, load_pair
+from experiments.lab.scored import Row, frames_of, scored_row
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig
@@ -214,28 +214,20 @@ def cells_of(
             yield PhysicalCell(sim, flight, seed, t_d_s, estimator, method, columns, bench)
 
 
-@dataclass(frozen=True)
-class Flown:
-    """A flight as it was recorded, and what was made of it last."""
-
-    pair: Pair  # whose rig is the true one
-    frames: tuple[Frames, Frames]
-    seen: dict[SetUp, Chain] = field(default_factory=dict)
-
-
 def load_physical(cells: Sequence[PhysicalCell], cache: Cache) -> Flown:
     """Load a recording, which is simulated if it is not there yet."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     frames = frames_of(folder, [METHODS[cell.method] for cell in cells], cache)
-    return Flown(load_pair(folder), frames)
+    cam1, cam2, rig = load_pair(folder)
+    first, second = (
+        Observation(one.events, *of) for one, of in zip((cam1, cam2), frames, strict=True)
+    )
+    return Flown(lambda _: Pair(first, second, rig), cells[0].seed)
 
 
 def physical_row(cell: PhysicalCell, flown: Flown) -> Row:
     """Run one method on one kind of a recording, and score it."""
-    if cell.bench not in flown.seen:
-        flown.seen.clear()  # the cells of a kind follow each other
-        flown.seen[cell.bench] = _recorded(cell, flown)
-    return scored_row(cell, flown.seen[cell.bench])
+    return scored_row(cell, flown.made(cell.bench, lambda: _recorded(cell, flown.flight)))
 
 
 PHYSICAL = Measure(load_physical, physical_row, Row)
@@ -249,12 +241,12 @@ def known_rig(bench: SetUp) -> Rig:
     """
     sim, config, known = bench.sim, bench.calibration, list[Camera]()
     rig = bench_rig(sim)
-    cameras = [exact(camera) for camera in rig.cameras]
-    if bench.is_calibrated:
-        cameras = [
-            calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
-            for index, camera in enumerate(rig.cameras)
-        ]
+    cameras = [
+        calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
+        if bench.is_calibrated
+        else exact(camera)
+        for index, camera in enumerate(rig.cameras)
+    ]
     for camera, one in zip(rig.cameras, cameras, strict=True):
         size, model = (camera.width, camera.height), camera.distortion_model
         known.append(Camera(one.K, *size, model, one.distortion_coeffs, one.intrinsics_std_px))
@@ -264,19 +256,19 @@ def known_rig(bench: SetUp) -> Rig:
     return Rig(known[0], known[1], T_2_1)
 
 
-def _recorded(cell: PhysicalCell, flown: Flown) -> Chain:
+def _recorded(cell: PhysicalCell, pair: Pair) -> Chain:
     """Make of a recording what the bench's cameras saw."""
     bench, cameras = cell.bench, []
     sees_room = bench.room != RoomConfig()
     scene = bench.sim.scene(cell.seed) if sees_room else None
     hanging = hanging_of(bench.sim, cell.seed) if sees_room else None
-    for index, frames in enumerate(flown.frames):
-        events = flown.pair[:2][index].events
+    for index, camera in enumerate((pair.cam1, pair.cam2)):
+        events = camera.events
         if scene and hanging:
             added = room_events(bench.room, scene, hanging, bench.sim.sensor, cell.seed, index)
             events = merged(events, added)
         events = events[events["t"] >= round(US_PER_S * SETTLING_S)]
         if bench.polarity is not None:
             events = events[events["p"] == bench.polarity]
-        cameras.append(Observation(events, *frames))
+        cameras.append(replace(camera, events=events))
     return Chain(cameras, known_rig(bench), cell.estimator)

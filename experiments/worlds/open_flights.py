@@ -157,16 +157,13 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
     rng = generator(seed, _PATH_STREAM)
     pace = _PACES.get(flight, 1.0)
     random = random_spline(replace(config.spline, duration_s=pace * DURATION_S), rng)
-    position = PATHS[flight](rng) if flight in PATHS else _slowed(random.position, pace)
+    own = PATHS[flight](rng) if flight in PATHS else None
+    position = own or (lambda times_s: random.position(pace * times_s))
     trajectory = Trajectory(DURATION_S, position, lambda times_s: random.attitude(pace * times_s))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"
         trajectory_to_csv(trajectory, file, _CSV_HZ)
         return recorded_pair(cache, replace(config, trajectory_file=file), seed)
-
-
-def _slowed(position: Position, pace: float) -> Position:
-    return lambda times_s: position(pace * times_s)
 
 
 def open_case(kind: str, recording: Pair, other: Callable[[], Pair]) -> OpenCase:

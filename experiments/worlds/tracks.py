@@ -30,7 +30,6 @@ from ssac.pipeline.api import chain_of, sync
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import solve_pairs
 
-Log = Callable[[str], None]
 Row = dict[str, Any]
 
 DATA_SETS = (1, 2, 4)
@@ -111,7 +110,7 @@ class DataSet:
 
 
 def data_sets(
-    data: Path, work: Path, log: Log, numbers: tuple[int, ...] = DATA_SETS
+    data: Path, work: Path, log: Callable[[str], None], numbers: tuple[int, ...] = DATA_SETS
 ) -> Iterator[DataSet]:
     """Read data sets, and synchronise every pair of cameras of each.
 

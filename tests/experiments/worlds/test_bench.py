@@ -2,7 +2,6 @@
 
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair
 from experiments.lab.schedule import Workers, run_cells
 from experiments.worlds import bench
 from experiments.worlds.bench import ALL, IMPERFECTIONS, KINDS, NONE, all_but, bench_of, only
@@ -17,6 +17,7 @@ from sim.scene.rig import Camera
 from sim.sensor.kernels import EVENT_DTYPE
 from sim.twin.bench import bench_rig
 from sim.twin.calibration import CalibrationConfig, exact
+from ssac.track.observation import Observation
 
 PLACE = (65.06, 10.0, 7)
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
@@ -61,9 +62,7 @@ def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.Mo
         return exact(camera)
 
     monkeypatch.setattr(bench, "calibrated_camera", calibrated)
-    bench.known_rig(
-        bench_of(only("intrinsics"), 77.0, 10.0, 3)
-    )  # which no other test has asked for
+    bench.known_rig.__wrapped__(bench_of(only("intrinsics"), *PLACE))  # not of its cache
     assert len(set(drawn)) == 2
 
 
@@ -75,10 +74,9 @@ def test_each_camera_sees_the_room_from_its_own_place(monkeypatch: pytest.Monkey
         return np.empty(0, EVENT_DTYPE)
 
     monkeypatch.setattr(bench, "room_events", events)
-    nothing = SimpleNamespace(events=np.empty(0, EVENT_DTYPE))
-    flown = bench.Flown((nothing, nothing), ((None, None),) * 2)  # type: ignore[arg-type]
+    nothing = Observation(np.empty(0, EVENT_DTYPE))
     (cell,) = bench.cells_of(bench_of(only("wire"), *PLACE), {}, FLIGHT, (5.0,), ("ssac",))
-    bench._recorded(cell, flown)
+    bench._recorded(cell, Pair(nothing, nothing, bench.known_rig(cell.bench)))
     assert asked == [0, 1]
 
 
