@@ -8,7 +8,7 @@ text of their file, rounded as it is there, so that anyone who has the file make
 
 import json
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from inspect import Parameter, signature
@@ -107,7 +107,7 @@ class Made:
         return made.encode() if isinstance(made, str) else png_bytes(made)
 
 
-Check = tuple[str, Callable[[Results], Sequence[str]]]
+Check = tuple[str, Callable[[Results], Iterable[str]]]
 """What must hold of the results in words, and what finds the faults."""
 
 

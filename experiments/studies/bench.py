@@ -4,6 +4,7 @@ Each part and each step runs in a process of its own on one core (the tables: on
 summed up in the benchmark's last rows.
 """
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -162,25 +163,19 @@ def _draw_guide(axes: Axes, measured: pd.DataFrame, column: str) -> None:
     axes.set_ylim(bottom, highest)
 
 
-def bench_faults(results: Results) -> list[str]:
+def bench_faults(results: Results) -> Iterator[str]:
     """Check what was measured, which cannot be made again, and what follows from it."""
-    table = results.table("bench")
-    faults = []
+    table = results.table("bench").fillna({"verdict": ""})
     for row in records(table):
         verdict = row.pop("verdict")
-        verdict = "" if pd.isna(verdict) else verdict
         one = Measurement(**row)
         if not 0.0 < one.value < np.inf or one.verdict != verdict:
-            faults.append(f"{one.name} is {one.value:g}, and {verdict}")
+            yield f"{one.name} is {one.value:g}, and {verdict}"
     summed = growth_rows(results.table("bench_growth"))
-    last = table.tail(len(summed))
-    if list(last["name"]) != [row.name for row in summed] or not np.allclose(
-        last["value"],
-        [row.value for row in summed],
-        rtol=1e-5,  # of six digits
-    ):
-        faults.append("the last rows of bench.csv do not follow from bench_growth.csv")
-    return faults
+    last, values = table.tail(len(summed)), [row.value for row in summed]
+    is_named = list(last["name"]) == [row.name for row in summed]
+    if not is_named or not np.allclose(last["value"], values, rtol=1e-5):  # of six digits
+        yield "the last rows of bench.csv do not follow from bench_growth.csv"
 
 
 def growth_faults(results: Results) -> list[str]:

@@ -5,7 +5,7 @@ as they are. A picture is the same bytes whenever it is made from the same runs 
 """
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -61,31 +61,29 @@ def _of(name: str, function: str, t_d_s: float, flight: Flight) -> Made:
     return Made(f"{name}.png", draw, recordings=lambda **_: (flight,))
 
 
-_MADE = (
+_OF_RECORDINGS = (
     _of("fig3_preprocessing", "preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
     _of("fig4_epipolar", "epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
     _of("fig5_d_avg", "d_avg_figure", 0.0, (FLIGHT, SEED)),
     _of("alignment", "alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
 )
-OF_RECORDINGS = {made.file.removesuffix(".png"): made for made in _MADE}
 
 
 def drawings() -> dict[str, Made]:
-    """Give every figure that the command draws."""
-    of_studies = {
-        made.file.removesuffix(".png"): made
+    """Give every figure that the command draws, by name."""
+    of_studies = (
+        made
         for study in all_studies().values()
         for made in study.makes
         if study.is_committed and made.follows and made.file.endswith(".png")
-    }
-    return {**OF_RECORDINGS, **of_studies}
+    )
+    return {made.file.removesuffix(".png"): made for made in (*_OF_RECORDINGS, *of_studies)}
 
 
-def config(names: Collection[str] = tuple(OF_RECORDINGS)) -> dict[str, Any]:
+def config(some: Sequence[Made] = _OF_RECORDINGS) -> dict[str, Any]:
     """Give what figures of recordings are made with, for their provenance."""
-    chosen = {name: made for name, made in OF_RECORDINGS.items() if name in names}
-    recordings = {name: sim for name, made in chosen.items() for sim, _ in made.filmed()}
-    return {"figures": list(chosen), "recordings": recordings, "flight": 0}
+    flown = {one.file.removesuffix(".png"): sim for one in some for sim, _ in one.filmed()}
+    return {"figures": list(flown), "recordings": flown, "flight": 0}
 
 
 ResultsOption = Annotated[Path, typer.Option(help="Folder with the results.", metavar="FOLDER")]
@@ -114,9 +112,10 @@ def figures_command(
             temporary.write_bytes(picture or b"")
         typer.echo(f"written to {out / made.file}")
     written = [out / made.file for made in chosen.values()]
-    if any(name in OF_RECORDINGS for name in chosen):  # of the others, studies have it
+    filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
+    if filmed:  # of the others, studies have it
         line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
-        content = provenance(line, config(chosen), took_s, context_or_none())
+        content = provenance(line, config(filmed), took_s, context_or_none())
         write_provenance(out / "figures.png", content)
         written.append(out / f"figures{PROVENANCE}")
     record_checksums(out, written)
@@ -138,7 +137,7 @@ STUDIES = (
         lambda: (),
         SCORED,
         None,
-        _MADE,
+        _OF_RECORDINGS,
         config=config(),
         command=COMMAND,
     ),

@@ -286,6 +286,8 @@ _DISTANCE_M, _FOCAL_PX = 35.0, 900.0
 MARK_S, MARK_MB = 600.0, 4096.0  # of the longest flight
 _SEED = 74_000
 _SHORT_S = 20.0
+_TOOK = ("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb")
+_GROWN_ERRORS = ("t_d_error_ms", "path_rmse_m")
 _OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks, at most and as a deviation
 _SPLINE = SplineConfig(
     sampling_hz=1.0,
@@ -437,21 +439,9 @@ GROWTH = (
         Runs(
             "network_growth.csv",
             ("duration_s",),
-            columns=(
-                "duration_s",
-                "cameras",
-                "points",
-                "wall_s",
-                "cpu_s",
-                "pairs_s",
-                "network_s",
-                "peak_mb",
-                "status",
-                "t_d_error_ms",
-                "path_rmse_m",
-            ),
+            columns=("duration_s", "cameras", "points", *_TOOK, "status", *_GROWN_ERRORS),
             numbered=False,
-            took=("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb"),
+            took=_TOOK,
         ),
         checks=(
             ("all flights are solved", one_of("network_growth", "status", "ok")),

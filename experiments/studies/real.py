@@ -5,7 +5,7 @@ is checked in its place.
 """
 
 import time
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -21,7 +21,7 @@ from experiments.lab.command import OutOption, check_is_folder
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Check, How, Made, Runs, Study
+from experiments.lab.study import How, Made, Runs, Study
 from experiments.lab.summary import markdown_table, shown_table
 from experiments.lab.verify import between, one_of, ordered
 from experiments.worlds import tracks
@@ -243,10 +243,6 @@ def _path_faults(results: Results) -> Iterator[str]:
         yield f"{PATHS}.csv has not each data set once"
 
 
-def _check(what: str, faults: Callable[[Results], Iterator[str]]) -> Check:
-    return what, lambda results: tuple(faults(results))
-
-
 # --- What pages quote ---
 
 
@@ -386,13 +382,13 @@ STUDIES = (
             "table.real.paths": paths_table,
         },
         checks=(
-            _check("the tables have their columns", _columns),
+            ("the tables have their columns", _columns),
             ("statuses are those of estimates", one_of(PAIRS, "status", *map(str, Status))),
             ("clocks are models of ours", one_of(PAIRS, "clock", *CLOCKS)),
-            _check("each pair is there once, with an offset or a reason", _pair_faults),
-            _check("triples are of answered pairs and close as these say", _triple_faults),
-            _check("knots are of pairs and stray as these say", _stray_faults),
-            _check("each data set has a path", _path_faults),
+            ("each pair is there once, with an offset or a reason", _pair_faults),
+            ("triples are of answered pairs and close as these say", _triple_faults),
+            ("knots are of pairs and stray as these say", _stray_faults),
+            ("each data set has a path", _path_faults),
             ("a coverage is a share", between(PATHS, "coverage", 0.0, 1.0)),
             ("a mean is at most an RMSE", ordered(PATHS, "mean_m", "rmse_m")),
             ("an RMSE is at most a maximum", ordered(PATHS, "rmse_m", "max_m")),

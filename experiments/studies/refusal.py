@@ -32,16 +32,7 @@ from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
 from experiments.studies.imperfect import ImperfectRow, given_columns
 from experiments.worlds import open_flights
-from experiments.worlds.open_flights import (
-    CAUSES,
-    DURATION_S,
-    KINDS_OF_FLIGHT,
-    LONG_S,
-    Cause,
-    OpenCase,
-    Scene,
-    flight_config,
-)
+from experiments.worlds.open_flights import CAUSES, KINDS_OF_FLIGHT, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
 from ssac.cli.options import number
 from ssac.errors import SsacError
@@ -83,7 +74,8 @@ def refusal_cells() -> list[KindCell]:
     for index in range(N_FLIGHTS):
         for k, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
             flight = FIRST_FLIGHT + KIND_STEP * k + index
-            sim = flight_config(of_flight, ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)])
+            angle_deg = ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)]
+            sim = open_flights.flight_config(of_flight, angle_deg)
             cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES, KindCell)
     return cells
 
@@ -209,8 +201,8 @@ def _asked(**fields: Any) -> Follow:
 
 
 def _longer(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
-    is_longer = scene.cause.path == ORDINARY and scene.cause.duration_s < LONG_S
-    return [scene.changed(duration_s=LONG_S).made()] if is_longer else []
+    is_longer = scene.cause.path == ORDINARY and scene.cause.duration_s < open_flights.LONG_S
+    return [scene.changed(duration_s=open_flights.LONG_S).made()] if is_longer else []
 
 
 def _cut(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
@@ -235,7 +227,7 @@ def _cut(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
 ADVICE: Mapping[str, Follow] = {
     "leave out --search": _asked(interval_s=None),
     "record longer": _longer,
-    "a livelier flight": _filmed(path=ORDINARY, duration_s=DURATION_S),
+    "a livelier flight": _filmed(path=ORDINARY, duration_s=open_flights.DURATION_S),
     "in all directions": _filmed(path=ORDINARY, scale=1.0),
     "record one flight": _mended("record one flight"),
     "cut the recordings": _cut,
@@ -257,7 +249,7 @@ def reason_cells(
     cells = []
     for index in range(recordings):
         flight = REASONS_FIRST_FLIGHT + BASE_STEP * base + index
-        sim = flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
+        sim = open_flights.flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
         cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"], KindCell)
     return cells
 

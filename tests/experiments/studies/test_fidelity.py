@@ -1,6 +1,5 @@
 """Events against those of another rendering, and what is summed up of them."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.grid import named_config
-from experiments.studies.fidelity import (
-    DENSER,
-    MATCH_WINDOW_US,
-    RENDERER_FLIGHTS,
-    compare_events,
-    reference_config,
-    renderer_cells,
-)
+from experiments.studies import fidelity
 from sim.recording import SimConfig
 from sim.sensor.kernels import EVENT_DTYPE
 
@@ -26,7 +18,7 @@ def random_events(n: int = 2000) -> np.ndarray:
     events, pixels = np.zeros(n, EVENT_DTYPE), rng.permutation(np.arange(n) % 400)
     events["x"], events["y"], events["p"] = pixels % 20, pixels // 20, rng.integers(0, 2, n)
     turn = pd.Series(pixels).groupby(pixels).cumcount()
-    events["t"] = 50 * pixels + 3 * MATCH_WINDOW_US * turn
+    events["t"] = 50 * pixels + 3 * fidelity.MATCH_WINDOW_US * turn
     return np.sort(events, order="t")
 
 
@@ -50,22 +42,20 @@ def changed(events: np.ndarray, of: slice = slice(None), **steps: int) -> np.nda
     ],
     ids=["the same", "late", "more", "fewer", "other polarity"],
 )
-def test_events_are_compared_with_their_counterparts(
-    made: Callable[[np.ndarray], np.ndarray], late_us: int, spurious: float, missing: float
-) -> None:
+def test_events_are_compared_with_their_counterparts(made, late_us, spurious, missing) -> None:
     events = random_events()
-    result = compare_events(np.sort(made(events), order="t"), events)
+    result = fidelity.compare_events(np.sort(made(events), order="t"), events)
     assert (result.median_us, result.p95_us) == (late_us, late_us)
     assert (result.spurious, result.missing) == pytest.approx((spurious, missing))
 
 
 def test_the_reference_is_denser_and_renderers_are_compared_on_flights_of_the_tables() -> None:
-    config, dense = SimConfig(), reference_config(SimConfig())
-    assert dense.sampling.max_step_px * DENSER == config.sampling.max_step_px
+    config, dense = SimConfig(), fidelity.reference_config(SimConfig())
+    assert dense.sampling.max_step_px * fidelity.DENSER == config.sampling.max_step_px
     assert dense.render.lattice.samples_per_pixel >= 256
     assert dense.spline == config.spline
-    cells = renderer_cells()
-    assert len(cells) == 2 * 5 * RENDERER_FLIGHTS
+    cells = fidelity.renderer_cells()
+    assert len(cells) == 2 * 5 * fidelity.RENDERER_FLIGHTS
     of_tables = {(c.sim, c.seed) for t in ("esim_10", "esim_20") for c in named_config(t).cells()}
     for cell in cells:
         assert (replace(cell.sim, t_d_s=0.0), cell.seed) in of_tables

@@ -6,15 +6,7 @@ import pytest
 
 from experiments.lab.grid import named_config
 from experiments.lab.results import csv_text, read_checksums
-from experiments.studies.figures import (
-    FLIGHT,
-    NOISY_FLIGHT,
-    NOISY_SEED,
-    SEED,
-    choose,
-    drawings,
-    figures_command,
-)
+from experiments.studies import figures
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
@@ -23,16 +15,16 @@ RESULTS = Path(__file__).resolve().parents[3] / "results"
 
 def test_all_figures_are_drawn_when_none_is_named() -> None:
     papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "alignment"]
-    all_of_them = list(drawings())
+    all_of_them = list(figures.drawings())
     assert all_of_them[:6] == [*papers, "error_vs_angle", "beyond_paper"]
     # Every picture of results/, but for the paths, which need the recordings.
     committed = {path.stem for path in RESULTS.glob("*.png")}
     paths = {name for name in committed if name == "outdoor" or name.startswith("real_path")}
     assert committed <= {*all_of_them, *paths}
-    assert list(choose([])) == all_of_them
-    assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
+    assert list(figures.choose([])) == all_of_them
+    assert list(figures.choose(["fig5_d_avg"])) == ["fig5_d_avg"]
     with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
-        choose(["fig3_preprocessing", "fig6"])
+        figures.choose(["fig3_preprocessing", "fig6"])
 
 
 def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
@@ -41,20 +33,19 @@ def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
     assert path.stat().st_size < 2e6
 
 
-@pytest.mark.parametrize(
-    ("name", "flight"),
-    [("esim_20", (FLIGHT, SEED)), ("ablation_davis346", (NOISY_FLIGHT, NOISY_SEED))],
-)
-def test_flights_are_of_tables(name: str, flight: tuple) -> None:
-    assert any((cell.sim, cell.seed) == flight for cell in named_config(name).cells())
-    assert (flight[0].sensor.shot_noise_hz > 0.0) == (name == "ablation_davis346")
+def test_flights_are_of_tables() -> None:
+    plain, noisy = figures.FLIGHT, figures.NOISY_FLIGHT
+    for name, flight in (("esim_20", (plain, figures.SEED)),
+                         ("ablation_davis346", (noisy, figures.NOISY_SEED))):  # fmt: skip
+        assert any((cell.sim, cell.seed) == flight for cell in named_config(name).cells())
+    assert noisy.sensor.shot_noise_hz > plain.sensor.shot_noise_hz == 0.0
 
 
 def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, capsys) -> None:
     (tmp_path / "runs.csv").write_text(csv_text(made_up_runs(("ssac", "tangency"), 2)))
     pictures = []
     for out in (tmp_path / "first", tmp_path / "second"):
-        figures_command(["beyond_paper"], tmp_path, out=out)
+        figures.figures_command(["beyond_paper"], tmp_path, out=out)
         assert capsys.readouterr().out == f"written to {out / 'beyond_paper.png'}\n"
         pictures.append((out / "beyond_paper.png").read_bytes())
     assert pictures[0] == pictures[1]
@@ -66,4 +57,4 @@ def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, ca
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
     for results in (tmp_path, tmp_path / "none"):
         with pytest.raises(SsacError, match=r"error_vs_angle.png: .*runs.csv"):
-            figures_command(["error_vs_angle"], results, out=tmp_path)
+            figures.figures_command(["error_vs_angle"], results, out=tmp_path)

@@ -10,15 +10,7 @@ from scipy.spatial.transform import Rotation
 from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
 from experiments.studies import network
-from experiments.studies.network import (
-    ANGLE_DEG,
-    FRAMES_HZ,
-    N_CAMERAS,
-    NOISE_PX,
-    FourCameras,
-    GrowthCell,
-    write_tracks,
-)
+from experiments.studies.network import GrowthCell
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
 from ssac.clock import Clock
@@ -33,24 +25,26 @@ def truth_of(times_s: np.ndarray, positions_m: np.ndarray, turns: Rotation) -> F
 
 
 def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
-    two = SimConfig(angle_deg=ANGLE_DEG).scene(0).rig
-    for camera, other in zip(FourCameras().scene(0).rig.cameras, two.cameras, strict=False):
+    two = SimConfig(angle_deg=network.ANGLE_DEG).scene(0).rig
+    for camera, other in zip(network.FourCameras().scene(0).rig.cameras, two.cameras, strict=False):
         np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
-    assert recording_key(FourCameras(), 0) != recording_key(SimConfig(angle_deg=ANGLE_DEG), 0)
+    assert recording_key(network.FourCameras(), 0) != recording_key(
+        SimConfig(angle_deg=network.ANGLE_DEG), 0
+    )
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> network.Flown:
     """A flight of which there are true tracks, which take no rendering."""
     folder = tmp_path_factory.mktemp("four")
-    config = FourCameras()
+    config = network.FourCameras()
     scene = config.scene(5)
     (folder / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))
     times_s = np.arange(0.0, config.spline.duration_s, 0.005)
     poses = scene.trajectory.poses(times_s)
     truth = truth_of(times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]))
     centres_px = tuple(camera.project(poses[:, :3, 3]) for camera in scene.rig.cameras)
-    poses_k_1 = tuple(scene.rig.relative_pose(0, k) for k in range(N_CAMERAS))
+    poses_k_1 = tuple(scene.rig.relative_pose(0, k) for k in range(network.N_CAMERAS))
     return network.Flown(folder, replace(truth, centres_px=centres_px, poses=poses_k_1))
 
 
@@ -89,17 +83,17 @@ def test_a_path_of_another_point_of_the_body_is_off_by_its_lever_arm_alone() -> 
 
 
 def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path: Path) -> None:
-    files, clocks = write_tracks(tmp_path, 5.0)
+    files, clocks = network.write_tracks(tmp_path, 5.0)
     rig = load_rig(tmp_path / "rig.yaml", (1, len(files)))
     assert rig.cam1.readout_s == 0.0
     for file, clock in zip(files, clocks, strict=True):
         track = load_track(file)
         times_s = clock.cam1_from_cam2(track.times_s)
-        assert times_s[0] < 1.1 / FRAMES_HZ
-        assert np.median(np.diff(times_s)) == pytest.approx(1.0 / FRAMES_HZ, rel=1e-3)
+        assert times_s[0] < 1.1 / network.FRAMES_HZ
+        assert np.median(np.diff(times_s)) == pytest.approx(1.0 / network.FRAMES_HZ, rel=1e-3)
         bends_px = np.diff(track.points_px, 3, axis=0)
         # Third differences of white noise have 20 times its variance; the path bends far less.
-        assert np.std(bends_px) == pytest.approx(np.sqrt(20.0) * NOISE_PX, rel=0.1)
+        assert np.std(bends_px) == pytest.approx(np.sqrt(20.0) * network.NOISE_PX, rel=0.1)
 
 
 def test_a_flight_before_many_cameras_is_solved_and_timed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,9 +53,7 @@ def folder(tmp_path: Path) -> Path:
         (PATHS, ",0.15891153,", ",0.01,", "real_paths.csv, row 0: rmse_m is above max_m"),
     ],
 )
-def test_what_makes_no_sense_is_found(
-    folder: Path, name: str, old: str, new: str, fault: str
-) -> None:
+def test_what_makes_no_sense_is_found(folder, name, old, new, fault) -> None:
     text = (folder / f"{name}.csv").read_text()
     assert old in text
     (folder / f"{name}.csv").write_text(text.replace(old, new, 1))
