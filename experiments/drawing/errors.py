@@ -24,7 +24,7 @@ from experiments.drawing.style import (
     Look,
     Named,
     label_log_axis,
-    legend_below,
+    legend_outside,
     mark_survivors,
     method_looks,
     panels,
@@ -101,7 +101,7 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         own = runs[runs["method"] == method]
         failed = int((own["status"] != "ok").sum())
         labelled[f"{method} ({failed} of {len(own)} failed)" if failed else method] = look
-    handles = _handles(
+    marks = _marks(
         labelled,
         0.8,
         ("the paper's mean", {"marker": "*", "ls": ":", "ms": 9}),
@@ -111,7 +111,7 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
     )
     ratios = {"height_ratios": (1.7, 1.0, 1.0)}
     title = "Mean errors of all methods, beside the paper's"
-    return _error_grid(title, runs, 10.0, draw, handles, 0.85 * _LEAST, **ratios)
+    return _error_grid(title, runs, 10.0, draw, marks, 0.85 * _LEAST, **ratios)
 
 
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
@@ -140,11 +140,11 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
             within += [*lower, *(means["mean"] + means["standard_error"])]
         axes.set_ylim(0.9 * min(within), 1.1 * max(within))
 
-    first = _named(("the paper", {"color": _PAPER.color, "marker": "*", "ls": ":", "ms": 9}))
+    first = ("the paper", {"color": _PAPER.color, "marker": "*", "ls": ":", "ms": 9})
     mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
     others = STANDARD_ERROR, mark, *_survivors(runs[runs["method"].isin(methods)])
     title = "Mean errors of each refinement, beside the paper's"
-    return _error_grid(title, runs, 8.4, draw, first + _handles(looks, 1.2, *others))
+    return _error_grid(title, runs, 8.4, draw, [first, *_marks(looks, 1.2, *others)])
 
 
 def _survivors(runs: pd.DataFrame) -> list[Named]:
@@ -175,7 +175,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
     rms = ("root mean square error", {"marker": "o", "ms": 5, "lw": 0})
     bound = ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0})
     title = "Errors, and the least that the flights' noise allows"
-    return _error_grid(title, cells, 8.4, draw, _handles(looks, 0, rms, bound))
+    return _error_grid(title, cells, 8.4, draw, _marks(looks, 0, rms, bound))
 
 
 def success_figure(runs: pd.DataFrame) -> Figure:
@@ -217,14 +217,11 @@ def _error_grid(
     table: pd.DataFrame,
     height_in: float,
     draw: Callable[[Axes, float, pd.DataFrame, Quantity], None],
-    handles: Sequence[Any],
+    marks: Sequence[Named],
     bottom: float | None = None,
     **ratios: Any,
 ) -> Figure:
-    """Lay out axes with angles below, and errors on a logarithmic axis.
-
-    They are within a decade or two, but for those of t_d of all methods, from `bottom` on.
-    """
+    """Lay out axes with angles below, and errors on a logarithmic axis, from `bottom` on."""
     durations_s, angles_deg = (sorted(table[name].unique()) for name in ("duration_s", "angle_deg"))
     shape = len(ERRORS), len(durations_s)
     figure, grid = panels(title, height_in, *shape, sharex=True, sharey="row", **ratios)
@@ -234,12 +231,13 @@ def _error_grid(
             axes.set(yscale="log", xticks=angles_deg)
             if bottom is not None:
                 axes.set_ylim(bottom=bottom)
+            # All are within a decade or two, but for those of t_d of all methods.
             label_log_axis(axes.yaxis, bottom is None or error is not T_D_ERROR)
         row[0].set_ylabel(error.label)
     for column, duration_s in zip(grid.T, durations_s, strict=True):
         column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
         column[-1].set_xlabel(ANGLE_LABEL)
-    legend_below(figure, 4, handles)
+    legend_outside(figure, 4, marks)
     return figure
 
 
@@ -307,16 +305,10 @@ def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **
         mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], **marks)
 
 
-def _handles(looks: Mapping[str, Look], width: float, *others: Named) -> list[Any]:
+def _marks(looks: Mapping[str, Look], width: float, *others: Named) -> list[Named]:
     """Name looks in a legend, then other marks."""
     of_looks = [(name, {"lw": width, "ms": 5, **look.style}) for name, look in looks.items()]
-    return _named(*of_looks, *others)
-
-
-def _named(*marks: Named) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    return [Line2D([], [], label=text, **{"color": "0.3", **style}) for text, style in marks]
+    return [*of_looks, *others]
 
 
 def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
@@ -348,21 +340,14 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
     figure.supxlabel(look.label, fontsize=10)
     said = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
-    handles = _named(
+    marks = [
         *((name, {"lw": 1.2, "ms": 4.5, **style}) for name, (_, style) in lines.items()),
         (said, {"color": "0.4", "ls": "--" if on_axis else "none"}),
         STANDARD_ERROR,
         *([SURVIVORS] if FAILED in labels else []),
-    )
-    figure.legend(
-        handles=handles,
-        loc="outside upper center",
-        ncols=3 if len(handles) <= 6 else 4,
-        fontsize=8,
-        frameon=False,
-        title=grid.title,
-        title_fontsize=12,
-    )
+    ]
+    above = {"loc": "outside upper center", "title": grid.title, "title_fontsize": 12}
+    legend_outside(figure, 3 if len(marks) <= 6 else 4, marks, **above)
     return figure
 
 
@@ -380,11 +365,7 @@ def default_value(name: str) -> float:
 def _lines(
     means: pd.DataFrame, others: list[str]
 ) -> dict[str, tuple[pd.DataFrame, dict[str, Any]]]:
-    """Split the means by the other parameters: rows and look of each line, by what it is of.
-
-    The first parameter sets the colour (`style.value_color`). A second one sets marker and dashes;
-    the first sets the marker where it is alone.
-    """
+    """Split the means by the other parameters: rows and look of each line, by what it is of."""
     if not others:
         return {"mean": (means, {"color": value_color("", 0, 0.0), "marker": "o", "ls": "-"})}
     parts = list(means.groupby(others, sort=True))
@@ -393,7 +374,7 @@ def _lines(
     lines = {}
     for k, (key, part) in enumerate(parts):
         outer, inner = divmod(k, n_inner)
-        kind = outer if n_inner == 1 else inner
+        kind = outer if n_inner == 1 else inner  # the first sets the marker where it is alone
         look = {
             "color": value_color(others[0], key[0], places[outer]),
             "marker": _MARKERS[kind % len(_MARKERS)],

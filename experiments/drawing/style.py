@@ -134,9 +134,12 @@ def panels(
     return made, grid
 
 
-def legend_below(figure: Figure, ncols: int, handles: Sequence[Any] | None = None) -> None:
-    """Name what is drawn: some handles, or all of the first axes."""
-    if handles is None:
-        handles = figure.axes[0].get_legend_handles_labels()[0]
-    below = "outside lower center"
-    figure.legend(handles=handles, loc=below, ncols=ncols, fontsize=8, frameon=False)
+def legend_outside(figure: Figure, ncols: int, marks: Sequence[Named] = (), **more: Any) -> None:
+    """Name what is drawn below all axes: some marks, or what the first axes have."""
+    from matplotlib.lines import Line2D
+
+    looks = ((text, {"color": "0.3", **look}) for text, look in marks)
+    handles: list[Any] = [Line2D([], [], label=text, **look) for text, look in looks]
+    handles = handles or figure.axes[0].get_legend_handles_labels()[0]
+    place = {"loc": "outside lower center", "fontsize": 8, "frameon": False, **more}
+    figure.legend(handles=handles, ncols=ncols, **place)

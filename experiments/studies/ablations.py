@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.stats import t as student
 
 from experiments.drawing.errors import ablation_figure
-from experiments.drawing.style import Figure, legend_below, mark_survivors, panels
+from experiments.drawing.style import Figure, legend_outside, mark_survivors, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
@@ -158,7 +158,7 @@ def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel(x, fontsize=9)
         axes.set_title(ERRORS[error].label, fontsize=10)
-    legend_below(figure, 4)
+    legend_outside(figure, 4)
     return figure
 
 

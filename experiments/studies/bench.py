@@ -14,7 +14,7 @@ import pandas as pd
 import typer
 from numpy.typing import ArrayLike
 
-from experiments.drawing.style import Axes, Figure, legend_below, panels
+from experiments.drawing.style import Axes, Figure, legend_outside, panels
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
@@ -126,8 +126,6 @@ _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 def growth_figure(table: pd.DataFrame) -> Figure:
     """Draw time and memory on logarithmic axes: the smaller sensor's points are hollow."""
-    from matplotlib.lines import Line2D
-
     looks: dict[str, dict[str, Any]] = {SIMULATE: {"color": "#0072B2", "marker": "o"},
              SYNCHRONISE: {"color": "#000000", "marker": "D"}}  # fmt: skip
     figure, (both,) = panels("How run time and memory grow with the recording", 4.4, columns=2)
@@ -145,12 +143,12 @@ def growth_figure(table: pd.DataFrame) -> Figure:
                 axes.plot(here["events_per_camera"], here[column], **line)
         if len(measured):
             _draw_guide(axes, measured, column)
-    handles = [Line2D([], [], ms=5, lw=1.2, label=step, **look) for step, look in looks.items()]
+    marks = [(step, {"ms": 5, "lw": 1.2, **look}) for step, look in looks.items()]
     for sensor in sensors:
         face = "0.3" if sensor == sensors[-1] else "white"
-        handles.append(Line2D([], [], color="0.3", marker="o", ms=5, lw=0, label=sensor, mfc=face))
-    handles.append(Line2D([], [], label="linear in the events", **_GUIDE))
-    legend_below(figure, 5, handles)
+        marks.append((sensor, {"marker": "o", "ms": 5, "lw": 0, "mfc": face}))
+    marks.append(("linear in the events", _GUIDE))
+    legend_outside(figure, 5, marks)
     return figure
 
 

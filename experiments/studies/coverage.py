@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest, chi2
 
-from experiments.drawing.style import Axes, Figure, legend_below, method_looks, panels
+from experiments.drawing.style import Axes, Figure, legend_outside, method_looks, panels
 from experiments.lab.grid import named_config
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
@@ -120,7 +120,7 @@ def coverage_figure(runs: pd.DataFrame) -> Figure:
     figure, grid = panels("How often the stated intervals hold the truth", 3.4, columns=len(drawn))
     for axes, quantity in zip(grid[0], drawn, strict=True):
         _draw_panel(axes, runs, quantity)
-    legend_below(figure, 5)
+    legend_outside(figure, 5)
     return figure
 
 

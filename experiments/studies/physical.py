@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.drawing.errors import error_figure
-from experiments.drawing.style import Figure, label_log_axis, legend_below, method_looks, panels
+from experiments.drawing.style import Figure, label_log_axis, legend_outside, method_looks, panels
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
@@ -213,7 +213,7 @@ def budget_figure(summary: pd.DataFrame) -> Figure:
                 axes.set_title(method, fontsize=10, loc="left")
         row[0].set_yticks(places, list(IMPERFECTIONS), fontsize=8)
     grid[0, 0].invert_yaxis()
-    legend_below(figure, 4)
+    legend_outside(figure, 4)
     return figure
 
 
@@ -344,18 +344,16 @@ def latency_page(results: Results) -> str:
     table = results.table("light_latency").sort_values("light_ratio", kind="stable")
     apparent = table.pivot(index="light_ratio", columns="polarity", values="apparent_ms_mean")
     both = table[table["polarity"] == "both"].merge(apparent, on="light_ratio")
-    return shown_table(
-        both.assign(sigma=both["t_d_std_ms"].map(digits)),
-        {
-            "light 2 / 1": "{light_ratio:g}",
-            "apparent": "{both:.2f}",
-            "ON alone": "{on:.2f}",
-            "OFF alone": "{off:.2f}",
-            "stated 1 sigma": "{sigma}",
-            "half sum with its inverse": "{swapped_ms:.2f}",
-            "answered": "{answered} of {runs}",
-        },
-    )
+    columns = {
+        "light 2 / 1": "{light_ratio:g}",
+        "apparent": "{both:.2f}",
+        "ON alone": "{on:.2f}",
+        "OFF alone": "{off:.2f}",
+        "stated 1 sigma": "{sigma}",
+        "half sum with its inverse": "{swapped_ms:.2f}",
+        "answered": "{answered} of {runs}",
+    }
+    return shown_table(both.assign(sigma=both["t_d_std_ms"].map(digits)), columns)
 
 
 LATENCY = Study(

@@ -18,7 +18,7 @@ import pandas as pd
 import typer
 from scipy.spatial.transform import Rotation
 
-from experiments.drawing.style import Figure, legend_below, panels
+from experiments.drawing.style import Figure, legend_outside, panels
 from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
@@ -145,7 +145,7 @@ def spread_figure(runs: pd.DataFrame) -> Figure:
         axes.set_title(method, fontsize=10)
         axes.set_xlabel("half-window [ms]")
     panel_of[0].set_ylabel("$t_d$ [ms]")
-    legend_below(figure, 3)
+    legend_outside(figure, 3)
     return figure
 
 

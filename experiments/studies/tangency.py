@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure, legend_below, method_looks, panels
+from experiments.drawing.style import Figure, legend_outside, method_looks, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
@@ -164,7 +164,7 @@ def study_figure(means: pd.DataFrame) -> Figure:
         label="at the worst angle",
     )  # fmt: skip
     figure.axes[0].set_ylim(len(variants) - 0.4, -0.6)
-    legend_below(figure, 2)
+    legend_outside(figure, 2)
     return figure
 
 

@@ -154,25 +154,18 @@ def test_steps_of_a_point_are_measured_or_say_why_not(tmp_path, monkeypatch) -> 
 
 
 def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
+    def faults(table: pd.DataFrame, grown: pd.DataFrame) -> str:
+        (tmp_path / "bench.csv").write_text(csv_text(table))
+        (tmp_path / "bench_growth.csv").write_text(csv_text(grown))
+        results = Results(tmp_path)
+        return "; ".join([*bench.bench_faults(results), *bench.growth_faults(results)])
+
     grown, one = made_up_growth(), Measurement("drawing", 2.0, "s", 3.0)
     (tmp_path / "bench_growth.csv").write_text(csv_text(grown))
     row = {"part": "x", "status": "ok", "reason": "", "measurements": [vars(one)]}
     table = bench_table(pd.DataFrame([row]), Results(tmp_path))
-    (tmp_path / "bench.csv").write_text(csv_text(table))
-    for file, whole, check, changes in (
-        ("bench.csv", table, bench.bench_faults, (
-            (table.assign(verdict="misses"), "drawing is 2, and misses"),
-            (table.assign(value=0.0), "drawing is 0"),
-        )),
-        ("bench_growth.csv", grown, bench.growth_faults, (
-            (grown.assign(status="no_match", cpu_s=np.nan), "row 0: no_match"),
-        )),
-        ("bench_growth.csv", grown, bench.bench_faults, (
-            (grown.assign(peak_mb=2 * grown["peak_mb"]), "do not follow from"),
-        )),
-    ):  # fmt: skip
-        assert not [*check(Results(tmp_path))]
-        for changed, fault in changes:
-            (tmp_path / file).write_text(csv_text(changed))
-            assert fault in "; ".join(check(Results(tmp_path)))
-        (tmp_path / file).write_text(csv_text(whole))
+    assert not faults(table, grown)
+    assert "drawing is 2, and misses" in faults(table.assign(verdict="misses"), grown)
+    assert "drawing is 0" in faults(table.assign(value=0.0), grown)
+    assert "row 0: no_match" in faults(table, grown.assign(status="no_match", cpu_s=np.nan))
+    assert "do not follow from" in faults(table, grown.assign(peak_mb=2 * grown["peak_mb"]))
