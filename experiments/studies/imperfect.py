@@ -216,15 +216,13 @@ def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
     rows = results.rows("imperfect", kind=ALL)
     shown = {name: [_share(row, name) for row in records(rows)] for name in HELD}
-    return shown_table(
-        rows.assign(**shown),
-        {
-            "method": "`{method}`",
-            "answered": "{answered} of {runs}",
-            **{f"{name} [%]": f"{{{name}}}" for name in HELD},
-            "confident wrong": "{confident_wrong}",
-        },
-    )
+    columns = {
+        "method": "`{method}`",
+        "answered": "{answered} of {runs}",
+        **{f"{name} [%]": f"{{{name}}}" for name in HELD},
+        "confident wrong": "{confident_wrong}",
+    }
+    return shown_table(rows.assign(**shown), columns)
 
 
 def _share(row: Mapping[str, Any], name: str) -> str:

@@ -5,8 +5,7 @@ the events tell, of how fast these move, of the body's point, and of the pose; a
 said to run alike, as they do.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any, NamedTuple
@@ -31,6 +30,7 @@ from ssac.camera import Camera, known_pose
 from ssac.config import Config
 from ssac.geometry.pose import Pencil
 from ssac.methods import tangency
+from ssac.methods.rigid_body import body_points
 from ssac.pipeline.chain import Chain
 from ssac.points import PointTrack
 from ssac.rules import PointRules
@@ -101,33 +101,25 @@ class FilmedPair(NamedTuple):
     pair: Pair
     filmed: tuple[Filmed, Filmed]
 
-    def instead(self, cause: str) -> dict[str, Callable[..., Any]]:
+    def instead(self, cause: str) -> dict[str, Any]:
         """Give what stands in the place of functions of `ssac.methods.tangency`, by their names."""
         turns = cycle(self.filmed)  # camera 1 is asked about first, then camera 2
 
         def right(*found_of: Any) -> list[Tangents]:
             _, _, pencil, times_s, _ = found_of
-            of_truth = next(turns).tangents(pencil, times_s)
+            of_truth, is_kept = next(turns).tangents(pencil, times_s), cause == VELOCITIES
             return [
-                replace(
-                    one,
-                    points_px=one.points_px if cause == VELOCITIES else points_px,
-                    velocities_px_s=velocities_px_s,
-                )
-                for one, (points_px, velocities_px_s) in zip(
-                    tangents(*found_of), of_truth, strict=True
-                )
+                replace(one, points_px=one.points_px if is_kept else points, velocities_px_s=moved)
+                for one, (points, moved) in zip(tangents(*found_of), of_truth, strict=True)
             ]
 
-        def points(*_: Any) -> tuple[PointMotion, PointMotion]:
+        def bodies(*_: Any) -> tuple[PointMotion, PointMotion]:
             return self.filmed[0].point(), self.filmed[1].point()
 
-        found: dict[str, Callable[..., Any]] = {}
-        if cause in (TANGENTS, VELOCITIES, BOTH):
-            found["tangents"] = right
-        if cause in (BODY, BOTH):
-            found["body_points"] = points
-        return found
+        return {
+            "tangents": right if cause in (TANGENTS, VELOCITIES, BOTH) else tangents,
+            "body_points": bodies if cause in (BODY, BOTH) else body_points,
+        }
 
 
 def cause_cells() -> list[CauseCell]:
@@ -147,10 +139,8 @@ def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
     """Run `tangency` with some truth, and score what it gives."""
     (cam1, cam2, rig), cause = filmed_pair.pair, cell.cause
     config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
-    with ExitStack() as stack:
-        for name, of_truth in filmed_pair.instead(cause).items():
-            stack.enter_context(patch.object(tangency, name, of_truth))
-        method = "tangency-known" if cause == POSE else "tangency"
+    method = "tangency-known" if cause == POSE else "tangency"
+    with patch.multiple(tangency, **filmed_pair.instead(cause)):
         estimate = Chain((cam1, cam2), rig, config).estimate(method)
     return ErrorRow(**kept(ErrorRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))))
 

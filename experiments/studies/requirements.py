@@ -266,12 +266,8 @@ def required_table(runs: pd.DataFrame) -> pd.DataFrame:
     jumps that are told, how far wrong intrinsics move the estimate, and the time.
     """
     rows = [
-        {
-            "group": required.group,
-            "kind": name,
-            **_summed(runs[runs["kind"] == name], required.requirement),
-        }
-        for name, required in KINDS.items()
+        {"group": one.group, "kind": name, **_summed(runs[runs["kind"] == name], one.requirement)}
+        for name, one in KINDS.items()
     ]
     return pd.DataFrame(rows)
 
