@@ -111,7 +111,7 @@ def test_every_kind_has_a_flight():
 CELLS = refusal.reason_cells(base=1, recordings=1)
 
 TWINS = ("at rest", "outside the interval", "short", "different objects", "clock jumps, tracks")
-"""Causes that are met with another kind of recording too, which is made sooner."""
+"""Causes that one of the others is too, with tracks in place of events or the other way round."""
 
 
 @pytest.fixture(scope="module")
