@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pandas as pd
 import typer
-from numpy.typing import ArrayLike
 
 from experiments.drawing.style import Axes, Figure, legend_outside, panels
 from experiments.lab.command import command_of
@@ -96,9 +95,10 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
         # What others take meanwhile is not in `cpu_s`; what start-up takes hides few events.
         grows = {"time": "cpu_s"} | ({"memory": "peak_mb"} if sensor == POINTS[-1].sensor else {})
         for what, column in grows.items():
-            value = exponent(of_step["events_per_camera"], of_step[column])
+            logarithms = np.log(of_step["events_per_camera"]), np.log(of_step[column])
+            slope = float(np.polyfit(*logarithms, 1)[0])  # what does not grow makes it smaller
             name = f"growth, {sensor}: {step}, {what} over events"
-            rows.append(Measurement(name, value, "exponent", MARK_EXPONENT))
+            rows.append(Measurement(name, slope, "exponent", MARK_EXPONENT))
     most, name = table["events_per_camera"].max(), "growth, largest pair"
     is_marked = most >= MIN_MARKED_EVENTS
     for one in records(table[table["events_per_camera"] == most]):
@@ -110,14 +110,6 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     if len(table):
         rows.append(Measurement(f"{name}: events per camera", most, "events"))
     return rows
-
-
-def exponent(events: ArrayLike, values: ArrayLike) -> float:
-    """Slope of a straight line through the logarithms of both: 1 where one is linear in the other.
-
-    What does not grow, as start-up does not, makes it smaller.
-    """
-    return float(np.polyfit(np.log(events), np.log(values), 1)[0])
 
 
 _WHAT = {"wall_s": "time [s]", "peak_mb": "peak memory [MB]"}

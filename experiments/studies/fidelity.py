@@ -4,7 +4,7 @@
 `renderers` compares the tables by either renderer: their first flights of each duration and angle.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -78,11 +78,6 @@ class FidelityRow(RunRow):
     ssac_known_t_d_difference_ms: float = np.nan
     joint_t_d_difference_ms: float = np.nan
     tangency_t_d_difference_ms: float = np.nan
-
-
-def opengl_config(config: SimConfig) -> SimConfig:
-    """Return the same scene, drawn with OpenGL at the same instants and samples."""
-    return replace(config, render=replace(config.render, renderer="pyrender"))
 
 
 def reference_config(config: SimConfig) -> SimConfig:
@@ -163,7 +158,7 @@ def fidelity_cells() -> list[FidelityCell]:
     for duration_s, n in N_FLIGHTS.items():
         frames = FrameConfig(rate_hz=0.0)
         sim = SimConfig(spline=SplineConfig(duration_s), frames=frames, t_d_s=T_D_S)
-        cells += _beside(sim, FIRST_FLIGHT, n, reference_config)
+        cells += _beside(sim, FIRST_FLIGHT, n, reference_config(sim))
     return cells
 
 
@@ -172,15 +167,14 @@ def renderer_cells() -> list[FidelityCell]:
     cells = []
     for duration_s, angle_deg in product(DURATIONS_S, ANGLES_DEG):
         sim = SimConfig(angle_deg=angle_deg, spline=SplineConfig(duration_s), t_d_s=T_D_S)
-        cells += _beside(sim, 0, RENDERER_FLIGHTS, opengl_config)
+        by_opengl = replace(sim, render=replace(sim.render, renderer="pyrender"))
+        cells += _beside(sim, 0, RENDERER_FLIGHTS, by_opengl)
     return cells
 
 
-def _beside(
-    sim: SimConfig, first: int, n: int, other: Callable[[SimConfig], SimConfig]
-) -> list[FidelityCell]:
+def _beside(sim: SimConfig, first: int, n: int, other: SimConfig) -> list[FidelityCell]:
     flights = drawn(sim, range(first, first + n))
-    return [FidelityCell(sim, flight, seed, other(sim)) for flight, seed in flights]
+    return [FidelityCell(sim, flight, seed, other) for flight, seed in flights]
 
 
 def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
