@@ -82,13 +82,10 @@ def test_the_ends_are_where_the_clock_says() -> None:
 
 def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate() -> None:
     shared, of_flight = Flown(lambda _: flown(), SEED), (SIM, 0, SEED)
+    kinds = ("nothing", *[*requirements.UNSTATED][:1], "20 s, clocks alike, no skew looked for")
     right, wrong, no_skew = (
         requirements.required_row(RequiredCell(*of_flight, kind, SEED + 1), shared)
-        for kind in (
-            "nothing",
-            *[*requirements.UNSTATED][:1],
-            "20 s, clocks alike, no skew looked for",
-        )
+        for kind in kinds
     )
     assert (right.status, wrong.status) == ("ok", "ok"), (right.reason, wrong.reason)
     assert right.cpu_s > 0.0

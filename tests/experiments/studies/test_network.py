@@ -25,12 +25,10 @@ def truth_of(times_s: np.ndarray, positions_m: np.ndarray, turns: Rotation) -> F
 
 
 def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
-    two = SimConfig(angle_deg=network.ANGLE_DEG).scene(0).rig
-    for camera, other in zip(network.FourCameras().scene(0).rig.cameras, two.cameras, strict=False):
+    four, two = network.FourCameras(), SimConfig(angle_deg=network.ANGLE_DEG)
+    for camera, other in zip(*(one.scene(0).rig.cameras for one in (four, two)), strict=False):
         np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
-    assert recording_key(network.FourCameras(), 0) != recording_key(
-        SimConfig(angle_deg=network.ANGLE_DEG), 0
-    )
+    assert recording_key(four, 0) != recording_key(two, 0)
 
 
 @pytest.fixture(scope="module")

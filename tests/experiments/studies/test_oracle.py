@@ -19,11 +19,8 @@ from ssac.track.outline import tangents
 pytestmark = pytest.mark.render
 
 T_D_S = 0.05
-SIM = SimConfig(
-    t_d_s=T_D_S,
-    spline=replace(SimConfig().spline, duration_s=5.0),
-    frames=FrameConfig(rate_hz=0.0),
-)
+SPLINE = replace(SimConfig().spline, duration_s=5.0)
+SIM = SimConfig(t_d_s=T_D_S, spline=SPLINE, frames=FrameConfig(rate_hz=0.0))
 CELL = CauseCell(SIM, 0, 1, oracle.AS_IT_IS)
 
 
@@ -36,12 +33,8 @@ def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: FilmedPair)
     R, t = known_pose(flown.pair.rig)
     Ks = flown.pair.rig.cam1.K, flown.pair.rig.cam2.K
     times_s = np.arange(0.5, 4.5, 0.005)
-    both = [
-        filmed.tangents(pencil, times_s + later_s)
-        for filmed, pencil, later_s in zip(
-            flown.filmed, pencils(R, t, *Ks), (0.0, T_D_S), strict=True
-        )
-    ]
+    of_cameras = zip(flown.filmed, pencils(R, t, *Ks), (0.0, T_D_S), strict=True)
+    both = [filmed.tangents(pencil, times_s + late_s) for filmed, pencil, late_s in of_cameras]
     F = fundamental_from_pose(*Ks, R, t)
     for (one_px, _), (other_px, px_s) in zip(*both, strict=True):
         np.testing.assert_allclose(sampson_distance(F, one_px, other_px), 0.0, atol=1e-9)

@@ -30,11 +30,8 @@ def made_up() -> pd.DataFrame:
 def test_the_spread_is_that_of_the_answers_beside_what_they_state():
     table = spread_table(made_up()).set_index(["method", "quantity"])
     rms = np.sqrt(np.mean(np.square([0.3, 0.1, 0.1, 0.3])))
-    for quantity, factor, stated in (
-        ("t_d_ms", 1.0, 0.1),
-        ("R_deg", 2.0, 0.5),
-        ("t_deg", 1.0, 0.2),
-    ):
+    expected = (("t_d_ms", 1.0, 0.1), ("R_deg", 2.0, 0.5), ("t_deg", 1.0, 0.2))
+    for quantity, factor, stated in expected:
         row = table.loc[("joint", quantity)]
         assert (row["windows"], row["answered"]) == (4, 4)
         # The mean direction is not normalised before it is taken: of angles this small, alike.
