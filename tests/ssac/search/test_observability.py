@@ -54,21 +54,15 @@ def fixed(times_s):
     return np.full_like(times_s, 130.0)
 
 
-def swings_at(t_d_s: float, motion: ObjectMotion) -> float:
-    views = TwoViews(motion, motion, SCENE.rig, Config())
-    return views.swings(views.pairs_at(t_d_s))
-
-
-@pytest.mark.parametrize("hz", [0.25, 0.5, 1.0])
-def test_a_sine_swings_twice_a_period(hz):
+@pytest.mark.parametrize(
+    ("hz", "t_d_s", "rel"), [(0.25, 0.0, 0.05), (1.0, 0.0, 0.05), (1.0, 6.0, 0.1)]
+)
+def test_a_sine_swings_twice_a_period_where_both_cameras_see_it(hz, t_d_s, rel):
     motion = motion_along(wave(hz), wave(hz, 1.0))
+    views = TwoViews(motion, motion, SCENE.rig, Config())
     # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
-    assert swings_at(0.0, motion) == pytest.approx(2 * hz * 8.0, rel=0.05)
-
-
-def test_swings_count_only_what_both_cameras_see():
-    motion = motion_along(wave(1.0), wave(1.0, 1.0))
-    assert swings_at(6.0, motion) == pytest.approx(2 * 2.0, rel=0.1)
+    expected = 2 * hz * (8.0 - t_d_s)
+    assert views.swings(views.pairs_at(t_d_s)) == pytest.approx(expected, rel=rel)
     assert too_little_motion(3.4, MIN_SWINGS) is not None
     assert too_little_motion(3.6, MIN_SWINGS) is None
 
@@ -215,16 +209,16 @@ def test_pairs_without_noise_leave_the_fundamental_matrix_no_more_open(seed):
     assert open_fundamental(*track_pair(flat(make_scene(seed)), times_s), SEARCH) is not None
 
 
-def test_points_at_rest_whose_mean_is_rounded_allow_no_fundamental_matrix():
-    """Bug: weights became infinite, and the eigenvalues were refused."""
-    pair = np.tile([181.75, 111.0], (15, 1)), np.tile([161.7, 146.4], (15, 1))
+@pytest.mark.parametrize(
+    ("n", "at_px"),
+    [
+        (40, ([100.0, 100.0], [100.0, 100.0])),  # the fit divided by zero
+        (15, ([181.75, 111.0], [161.7, 146.4])),  # by their mean's rounding weights were infinite
+    ],
+)
+def test_points_at_rest_allow_no_fundamental_matrix(n, at_px):
+    """Bug: the eigenvalues were refused."""
+    pair = [np.tile(point, (n, 1)) for point in at_px]
+    assert np.isnan(lmeds_fundamental(*pair, trials=50)).all()
     assert np.isnan(reweighted_fundamental(*pair)).all()
     assert second_best(*pair) == 1.0
-
-
-def test_points_at_rest_allow_no_fundamental_matrix():
-    """Bug: the fit divided by zero."""
-    points = np.full((40, 2), 100.0)
-    assert np.isnan(lmeds_fundamental(points, points, trials=50)).all()
-    assert np.isnan(reweighted_fundamental(points, points)).all()
-    assert second_best(points, points) == 1.0
