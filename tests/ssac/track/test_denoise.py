@@ -70,21 +70,34 @@ def test_what_moves_is_not_masked(path, hz):
     assert not mask_of(merged(blob(PATHS[path]), noise(WIDTH, HEIGHT, hz, LONG_US))).any()
 
 
-@pytest.mark.parametrize("size_px", [3, 6, 12])
-@pytest.mark.parametrize("hz", [0.0, 10.0])
-def test_a_lamp_is_masked_whole_and_nothing_else(size_px, hz):
-    # Once alone in its corner, and once where the object passes.
-    for x, y in ((3, 60), (40, 35)):
-        flicker = lamp(x, y, size_px, LONG_US)
-        found = mask_of(merged(blob(flight), flicker, noise(WIDTH, HEIGHT, hz, LONG_US)))
-        np.testing.assert_array_equal(found, pixels((x, y, size_px)))
+def hot(x, y, size_px, duration_us=LONG_US):
+    """A square of hot pixels, each of which fires at random times of its own."""
+    places = np.argwhere(pixels((x, y, size_px)))
+    return merged(*(pixel_events(column, row, 700, duration_us) for row, column in places))
 
 
-def test_clusters_of_hot_pixels_are_masked_whole():
-    squares = [(5, 5, 3), (30, 60, 3), (80, 20, 3)]
-    hot = [pixel_events(x, y, 600, LONG_US) for y, x in np.argwhere(pixels(*squares))]
-    found = mask_of(merged(blob(flight), *hot, noise(WIDTH, HEIGHT, 0.2, LONG_US)))
+@pytest.mark.parametrize(
+    ("fires", "squares", "hz"),
+    [
+        # Alone in a corner, and where the object passes.
+        *((lamp, [(*place, 3)], 10.0) for place in ((3, 60), (40, 35))),
+        *((lamp, [(*place, 12)], 0.0) for place in ((3, 60), (40, 35))),
+        (hot, [(5, 5, 3), (30, 60, 3), (80, 20, 3)], 0.2),
+    ],
+)
+def test_what_fires_by_itself_is_masked_whole_and_nothing_else(fires, squares, hz):
+    parts = [fires(*square, LONG_US) for square in squares]
+    found = mask_of(merged(blob(flight), *parts, noise(WIDTH, HEIGHT, hz, LONG_US)))
     np.testing.assert_array_equal(found, pixels(*squares))
+
+
+@pytest.mark.parametrize(
+    "lone", [[(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]]
+)
+def test_lone_hot_pixels_are_masked_in_short_recordings_too(lone):
+    parts = [hot(x, y, 1, 1_000_000) for x, y in lone]
+    found = mask_of(merged(noise(WIDTH, HEIGHT, 1.0, 1_000_000), *parts))
+    np.testing.assert_array_equal(found, pixels(*((x, y, 1) for x, y in lone)))
 
 
 def test_a_gap_in_the_recording_changes_nothing():
@@ -99,15 +112,6 @@ def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background()
     for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
         assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
-
-
-@pytest.mark.parametrize(
-    "lone", [[(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]]
-)
-def test_lone_hot_pixels_are_masked_in_short_recordings_too(lone):
-    hot = merged(*(pixel_events(x, y, 800) for x, y in lone))
-    found = mask_of(merged(noise(WIDTH, HEIGHT, 1.0, 1_000_000), hot))
-    np.testing.assert_array_equal(found, pixels(*((x, y, 1) for x, y in lone)))
 
 
 def test_a_bar_that_stands_and_flickers_stays():
@@ -155,10 +159,10 @@ STREAMS = {
     "even": random_events(8000, 40_000),
     "late": random_events(8000, 40_000, first_us=1_700_000_000_000_000),
     "on the boundary": whole_milliseconds(),
-    **{f"gaps of {gap_us} us": bursts(gap_us) for gap_us in (4000, 9000, 60_000, 10_000_000_000)},
+    **{f"gaps of {gap_us} us": bursts(gap_us) for gap_us in (4000, 60_000, 10_000_000_000)},
 }
-BALLS = [(5.0, 1.0, 20), (4.3, 1.0, 12), (3.0, 2.0, 8), (2.5, 0.5, 2), (1.4, 3.0, 2),
-         (1.0, 4.0, 1), (0.5, 4.0, 1), (12.0, 1.0, 100)]  # fmt: skip
+BALLS = [(5.0, 1.0, 20), (4.3, 1.0, 12), (2.5, 0.5, 2), (1.0, 4.0, 1), (0.5, 4.0, 1),
+         (9.0, 1.0, 100)]  # fmt: skip
 
 
 @pytest.mark.parametrize("stream", STREAMS)
@@ -204,33 +208,31 @@ def small(n):
     return blob(PATHS["round"], n, 0.9, 10_000_000)
 
 
-@pytest.mark.parametrize("rate_hz", [1_500, 20_000])
-def test_a_thin_object_needs_fewer_neighbours_and_a_dense_one_those_of_the_paper(rate_hz):
+@pytest.mark.parametrize(
+    ("rate_hz", "noise_hz", "ball"),
+    [
+        # Thin; dense, as of the paper; in much noise.
+        (1_500, 0.1, (RULES.ball_px, RULES.least_neighbours, RULES.least_n_min)),
+        (20_000, 0.1, (RULES.ball_px, RULES.ball_neighbours, N_MIN)),
+        (20_000, 10.0, (RULES.near_ball_px, RULES.near_ball_neighbours, N_MIN)),
+    ],
+)
+def test_a_thin_object_needs_fewer_neighbours_and_one_in_much_noise_nearer_ones(
+    rate_hz, noise_hz, ball
+):
     ours = small(10 * rate_hz)
-    events = merged(ours, noise(WIDTH, HEIGHT, 0.1, 10_000_000))
+    events = merged(ours, noise(WIDTH, HEIGHT, noise_hz, 10_000_000))
     left, found = without_noise(events, WIDTH, HEIGHT, None, RULES)
     by_paper = radius_filter(events)
-    assert found.radius_px == RULES.ball_px
-    if rate_hz == 20_000:
-        assert (found.n_neighbours, found.n_min) == (RULES.ball_neighbours, N_MIN)
-        assert not found.is_adapted
+    assert (found.radius_px, found.n_neighbours, found.n_min) == ball
+    assert found.is_adapted == (ball != (RULES.ball_px, RULES.ball_neighbours, N_MIN))
+    if not found.is_adapted:
         np.testing.assert_array_equal(left, by_paper)
+    elif noise_hz == 10.0:  # less of the noise beside the object is left
+        assert len(ours) < len(left) < len(by_paper)
     else:
-        assert found.n_neighbours == RULES.least_neighbours
-        assert found.is_adapted
-        assert found.n_min == RULES.least_n_min  # of 60 events in 40 ms a quarter is less
         assert abs(len(left) - len(ours)) < 0.1 * len(ours)
         assert len(by_paper) < 0.1 * len(ours)
-
-
-def test_much_noise_takes_the_near_ball():
-    ours = small(200_000)
-    events = merged(ours, noise(WIDTH, HEIGHT, 10.0, 10_000_000))
-    left, found = without_noise(events, WIDTH, HEIGHT, None, RULES)
-    assert (found.radius_px, found.n_neighbours) == (RULES.near_ball_px, RULES.near_ball_neighbours)
-    assert found.n_min == N_MIN
-    # Less of the noise beside the object is left.
-    assert len(ours) < len(left) < len(radius_filter(events))
 
 
 # --- A faint object ---
@@ -276,20 +278,10 @@ def test_a_weak_object_is_followed_through_a_gap(seed):
     errors_px = np.linalg.norm(found.positions_px - path_px(middles_s), axis=1)
     assert np.max(errors_px[in_gap]) < 2.0  # 4 deviations of 0.5 px: 2 px by 15 events in 1/8 s
     of_gap = (ours["t"] > 1e6 * GAP_S[0]) & (ours["t"] < 1e6 * GAP_S[1])
+    assert found.seen[(found.events["t"] - found.start_us) // FAINT.bin_us].all()
     # 4 % of a normal image lie outside of the corridor; noise of 15 events/s lies within it.
     n = np.count_nonzero((found.events["t"] > 5e6) & (found.events["t"] < 8e6))
     assert 0.85 < n / np.count_nonzero(of_gap) < 1.25
-
-
-def test_events_given_back_lie_in_the_corridor_where_the_object_is_seen():
-    events, sure, _ = recorded(120.0)
-    found, middles_s = followed(events, sure)
-    bins = (events["t"] - found.start_us) // FAINT.bin_us
-    ages_s = 1e-6 * events["t"] - middles_s[bins]
-    there = found.positions_px[bins] + ages_s[:, None] * found.velocities_px_s[bins]
-    away = np.column_stack([events["x"], events["y"]]) - there
-    inside = np.sum((away / found.half_sizes_px[bins]) ** 2, axis=1) < 1.0
-    np.testing.assert_array_equal(found.events, events[inside & found.seen[bins]])
 
 
 def test_noise_alone_is_not_followed():

@@ -79,26 +79,22 @@ def test_denoising_that_was_skipped_is_made_up_for(raw, cleaned):
     assert_same_motion(motion_of(again, WINDOWS), motion_of(cleaned, WINDOWS))
 
 
-@pytest.mark.parametrize("camera", [RADTAN, Camera(K * [[2.0], [2.0], [1.0]], WIDTH, HEIGHT)])
-def test_another_camera_is_obeyed(camera, cleaned):
+def test_another_camera_is_obeyed(cleaned):
     before = motion_of(cleaned, WINDOWS)
-    other = clean(cleaned, camera, HOW)
+    other = clean(cleaned, RADTAN, HOW)
     assert other.denoised
-    assert other.camera is camera
-    expected = motion_of(replace(cleaned, camera=camera), WINDOWS)
-    assert_same_motion(motion_of(other, WINDOWS), expected)
-    times_s = np.array([1.0, 2.0])
-    there, here = motion_of(other, WINDOWS).at(times_s), before.at(times_s)
-    if camera is RADTAN:  # its points are undistorted; K itself moves none
-        assert not np.array_equal(there.positions_px, here.positions_px)
+    assert other.camera is RADTAN
+    found = motion_of(other, WINDOWS)
+    assert_same_motion(found, motion_of(replace(cleaned, camera=RADTAN), WINDOWS))
+    assert not np.array_equal(found.position_sums_px, before.position_sums_px)
     with pytest.raises(SsacError, match="camera 2: the sensor is 100 x 260 px"):
         clean(cleaned, Camera(K, 100, HEIGHT), HOW, "camera 2")
 
 
-@pytest.mark.parametrize("t_d_s", [0.005, 0.5, -1.234567, 3600.0])
+@pytest.mark.parametrize("t_d_s", [1.6e-6, -1.234567, 3600.0])
 @pytest.mark.parametrize("camera", [CAMERA, RADTAN], ids=["none", "radtan"])
 def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, raw):
-    before = raw.events.copy()
+    before, shift_us = raw.events.copy(), round(t_d_s * 1e6)  # rounded, of frames as well
     later, seen = raw.delayed(t_d_s), clean(raw, camera, HOW)
     times_us = motion_of(seen, WINDOWS).times_us.copy()  # so that its sums are delayed with it
     delayed, expected = seen.delayed(t_d_s), clean(later, camera, HOW)
@@ -107,14 +103,10 @@ def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, r
     # Whole microseconds: exact.
     assert np.array_equal(delayed.events, expected.events)
     assert_same_motion(motion_of(delayed, WINDOWS), motion_of(expected, WINDOWS))
-    assert np.array_equal(delayed.frame_times_s, expected.frame_times_s)
-    tiny = raw.delayed(1.6e-6)  # rounded to whole microseconds, of frames as well
-    assert np.array_equal(tiny.events["t"], raw.events["t"] + 2)
-    assert tiny.frame_times_s == pytest.approx(raw.frame_times_s + 2e-6, abs=1e-12)
-    # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
-    assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + t_d_s, abs=1e-12)
-    assert np.array_equal(later.events["t"], raw.events["t"] + round(t_d_s * 1e6))
+    assert np.array_equal(later.events["t"], raw.events["t"] + shift_us)
     assert np.array_equal(later.events[["x", "y", "p"]], raw.events[["x", "y", "p"]])
+    # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
+    assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + 1e-6 * shift_us, abs=1e-12)
 
 
 def test_a_delay_moves_gaps_and_tracks(cleaned):
@@ -145,18 +137,15 @@ def test_what_cannot_be_used_is_refused_by_the_name_it_has(raw):
 
 
 def test_cameras_are_the_same_by_their_values():
-    camera = Camera(K, WIDTH, HEIGHT)
-    assert same_camera(camera, Camera(K.copy(), WIDTH, HEIGHT))
-    assert same_camera(RADTAN, replace(RADTAN))
-    for other in (
-        Camera(K + np.eye(3), WIDTH, HEIGHT),
-        Camera(K, WIDTH + 1, HEIGHT),
-        Camera(K, WIDTH, HEIGHT + 1),
-        replace(RADTAN, distortion_coeffs=(-0.3, 0.1, 0.001, 0.0)),
-        replace(RADTAN, distortion_model="equidistant"),
+    assert same_camera(RADTAN, replace(RADTAN, K=K.copy()))
+    for name, value in (
+        ("K", K + np.eye(3)),
+        ("width", WIDTH + 1),
+        ("height", HEIGHT + 1),
+        ("distortion_coeffs", (-0.3, 0.1, 0.001, 0.0)),
+        ("distortion_model", "equidistant"),
     ):
-        assert not same_camera(camera, other)
-        assert not same_camera(RADTAN, other)
+        assert not same_camera(RADTAN, replace(RADTAN, **{name: value}))
 
 
 # --- Motion of events ---
@@ -241,19 +230,6 @@ def test_velocities_do_not_depend_on_when_the_events_come():
     assert velocity == pytest.approx([1000.0, 0.0], abs=1e-6)  # rounding of sums
 
 
-def test_times_far_from_zero_lose_nothing(flight):
-    _, events = flight
-    later = events.copy()
-    later["t"] += 1_700_000_000_000_000  # a clock that shows the time of day in 2023
-    times_s = np.linspace(0.5, 3.5, 31)
-    near = object_motion(events, CAMERA)
-    far = object_motion(later, CAMERA)
-    # Seconds in float64 resolve 0.24 us there, so that a window may differ by one event.
-    shift = np.abs(far.at(times_s + 1.7e9).positions_px - near.at(times_s).positions_px)
-    assert np.nanmax(shift) < 0.1
-    assert np.allclose(far.velocities_at(times_s + 1.7e9), near.velocities_at(times_s), atol=10.0)
-
-
 @pytest.mark.parametrize(("x", "y"), [(4, 100), (341, 100), (100, 4), (100, 255)])
 def test_windows_with_few_events_or_some_on_the_border_are_invalid(x, y):
     # 800 events, and 5 % of them.
@@ -311,13 +287,23 @@ def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
     assert list(centred.valid) == [True, False]
 
 
-@pytest.mark.parametrize("shift_us", [5_000, 500_000, -123_457, 3_600_000_000])
-def test_samples_half_way_between_microseconds_do_not_depend_on_the_clocks_zero(flight, shift_us):
+@pytest.mark.parametrize(
+    ("shift_us", "most_events", "most_px"),
+    [
+        (-123_457, 0, 0.0),
+        (3_600_000_000, 0, 0.0),
+        # Of the time of day in 2023 float64 resolves 0.24 us: a window's ends may differ.
+        (1_700_000_000_000_000, 2, 0.1),
+    ],
+)
+def test_samples_half_way_between_microseconds_do_not_depend_on_the_clocks_zero(
+    flight, shift_us, most_events, most_px
+):
     motion = object_motion(flight[1], CAMERA)
     times_s = (np.arange(0, 4_000_000, 997) + 0.5) * 1e-6
     track, delayed = motion.at(times_s), motion.delayed(shift_us).at(times_s + 1e-6 * shift_us)
-    np.testing.assert_array_equal(delayed.counts, track.counts)
-    np.testing.assert_array_equal(delayed.positions_px, track.positions_px)
+    np.testing.assert_allclose(delayed.counts, track.counts, rtol=0, atol=most_events)
+    np.testing.assert_allclose(delayed.positions_px, track.positions_px, rtol=0, atol=most_px)
 
 
 # --- Points: a parabola, which local parabolas follow exactly ------------------------------------
