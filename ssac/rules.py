@@ -337,7 +337,6 @@ class MatchRules:
     as_often: float = 0.6  # of the time that another object is seen
     as_near: float = 2.0  # times the least distance from the epipolar lines of one offset
     least_pairs: int = 60  # that pieces have in common
-    least_moved_px: float = 1.0  # by both, between samples that count
     least_common: int = 8  # of two pieces, that tells whether they are one object's
     near_px: float = 1.5  # between pieces of one object
     near_share: float = 0.2  # and of their sizes

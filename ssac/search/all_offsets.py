@@ -31,7 +31,7 @@ class Grid(NamedTuple):
     first: int  # steps from time zero
     p_px: Array  # (n, 2)
     valid: Mask  # (n,)
-    least_px: float  # that it moves between samples that count
+    least_px: float = 0.0  # that it moves between samples that count
 
 
 @numba.njit(cache=True)

@@ -81,8 +81,7 @@ class _Matching:
         positions = piece.positions_px
         sampled = np.empty((2 * len(positions) - 1, 2))
         sampled[::2], sampled[1::2] = positions, 0.5 * (positions[:-1] + positions[1:])
-        known, least_px = np.isfinite(sampled[:, 0]), self.match.least_moved_px
-        return Grid(2 * piece.first, np.nan_to_num(sampled), known, least_px)
+        return Grid(2 * piece.first, np.nan_to_num(sampled), np.isfinite(sampled[:, 0]))
 
     def _starts(self) -> list[tuple[int, Array]]:
         """Find the offsets [half bins] that pieces bear out for longest, with the F of each."""

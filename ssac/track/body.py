@@ -84,8 +84,6 @@ class Look:
 
     def coarser(self, factor: int) -> "Look":
         """Give the same with pixels of so many times the width."""
-        if factor == 1:
-            return self
         beyond = -self.shares.shape[1] % factor
         shares = np.pad(self.shares, ((0, 0), (0, beyond), (0, beyond)))
         n, width = len(shares), shares.shape[1] // factor
@@ -173,11 +171,7 @@ def _learned(
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
 ) -> tuple[Array, Seen, Array]:
-    """Gather what is seen at even instants; give attitudes to begin with.
-
-    Their axes are those of the second moments: which of two is the longer, and which way each
-    points, is told later, by neighbours.
-    """
+    """Gather what is seen at even instants; give the second moments' axes to begin with."""
     step = max(1, round(step_s / float(np.median(np.diff(shape_s)))))
     times_s, moments = shape_s[::step], moments[::step]
     width = max(look.shares.shape[1] for look in looks)
@@ -403,10 +397,9 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations of turns and moves, from `first` on: (5, 5) and (5,).
+    """Give the normal equations (5, 5), (5,) of turns and moves; what is left of an image, and all.
 
-    Then the squares of what is left of the image, and of all of it. Turns are about the body's
-    axes. The room for work is all zero again.
+    Only those from `first` on are set. The room for work is all zero again.
     """
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
@@ -447,10 +440,7 @@ def _normal(
 def _placed(
     voxel: Array, view: View, scale: int, width: int
 ) -> tuple[int, int, float, float, float]:
-    """Give the pixel up and left of a voxel's image, how far down and right of it, and the depth.
-
-    The image has `scale` times as many pixels as the camera's, so many across; row -1: outside.
-    """
+    """Give the pixel up and left of a voxel's image, row -1: outside; how far off; the depth."""
     turn, point, focal, corner = view
     x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
     y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]

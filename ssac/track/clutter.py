@@ -113,10 +113,7 @@ def _count(
 
 
 def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
-    """Whether each pixel (height, width) has many events, and too few of those around it have.
-
-    An object's edge leaves similar counts along itself; a hot pixel, or two, stand alone.
-    """
+    """Pixels that stand alone with many events: an object's edge leaves as many along itself."""
     rows, columns = np.nonzero(counts >= rules.min_masked_events)
     own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
     n_companions = np.full(len(own), -1)  # the pixel finds itself
@@ -128,10 +125,7 @@ def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
 
 
 def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
-    """Pixels (height, width) of clusters that never pause, and around which there is little.
-
-    A slow object is not there all the time, or blurs into where it seldom is.
-    """
+    """Clusters that never pause, with little around: a slow object leaves, or blurs its edge."""
     clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))
     if total < rules.min_bins_per_part * rules.parts:

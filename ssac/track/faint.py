@@ -26,11 +26,9 @@ class Followed:
 
     start_us: int
     positions_px: Array  # (n, 2) at the bins' middles
-    velocities_px_s: Array  # (n, 2)
     variances_px2: Array  # (n, 2) of the positions
-    half_sizes_px: Array  # (n, 2) of the corridor
     seen: Mask  # (n,)
-    events: Events  # of the corridor, where the object is seen
+    events: Events  # of a corridor about the path, where the object is seen
 
 
 @dataclass(frozen=True)
@@ -148,14 +146,13 @@ def follow(
     is_sure = (_around(counts, rules.sure_bins) >= rules.min_sure_events) & seen
     seen = seen & ~_dead_ends(seen, is_sure, rules.dead_end_bins)
     half_sizes_px = rules.corridor_sigmas * np.sqrt(sizes_px2)
-    where = path.positions_px, path.velocities_px_s, path.variances_px2, half_sizes_px
     bin_of_event = bins.of(events)
     in_seen = np.flatnonzero(seen[bin_of_event])
     k, ages_s = bin_of_event[in_seen], bins.ages_s[in_seen, None]
     away_px = np.column_stack([events["x"], events["y"]])[in_seen] - path.positions_px[k]
     away_px = (away_px - path.velocities_px_s[k] * ages_s) / half_sizes_px[k]
     inside = in_seen[away_px[:, 0] ** 2 + away_px[:, 1] ** 2 < 1.0]
-    return Followed(bins.start_us, *where, seen, events[inside])
+    return Followed(bins.start_us, path.positions_px, path.variances_px2, seen, events[inside])
 
 
 _LEAST_WEIGHT = 1e-3  # of what is measured in a bin, in events
@@ -269,7 +266,11 @@ def _sums(
     background: Array,
     rules: FaintRules,
 ) -> Array:
-    """Sum up the events about a path, as `_sums_in_bins` does."""
+    """Sum up the events about a path in the bins (n,) where it is known, as `_sums_in_bins` does.
+
+    Rates and background (n,) are events of the object in a bin, and of all else in a bin and a
+    pixel.
+    """
     events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
     expected = path.known, path.positions_px, path.velocities_px_s, path.around(sizes_px2)
     limits = rules.half_px, rules.counted, rules.inside, rules.around
@@ -363,12 +364,9 @@ def _sums_in_bins(
     rates: Array,
     background: Array,
 ) -> Array:
-    """Sum up the events (m,) about a path, in the bins (n,) where it is known.
+    """Give (n, 5): events counted, events around; sums of weights, and of weighted x and y.
 
-    Bin k begins with event bounds[k]. Limits are `half_px`, `counted`, `inside` and `around` of the
-    rules. Rates and background (n,) are events of the object in a bin, and of all else in a bin and
-    a pixel. Gives (n, 5): events counted, events around; weights, of each event the share of the
-    object in all that is there; and weighted sums of x and y.
+    An event's weight is the share of the object in all that is there.
     """
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path

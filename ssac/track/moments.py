@@ -146,10 +146,9 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
+    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming; and its cost.
 
-    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before
-    with such a weight. Gives the choice (m,) and the mean of what it costs.
+    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before.
     """
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)

@@ -116,10 +116,7 @@ class _Cells:
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
-    """First event of each `every`-th bin, and the one after its last (b, 2).
-
-    Bins count from the first event on, so that a clock that shows more changes nothing.
-    """
+    """First event of each `every`-th bin from the first event on, and that after its end (b, 2)."""
     times_us = events["t"]
     n_bins = int(times_us[-1] - times_us[0]) // bin_us + 1
     starts = np.arange(0, n_bins, every, dtype=np.int64)
@@ -253,7 +250,7 @@ def _bins_of_their_own_way(pieces: list[Piece], extent_px: float, rules: ObjectR
     return n
 
 
-@dataclass
+@dataclass(eq=False)
 class _Path:
     """A piece in the making."""
 
@@ -288,9 +285,9 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
             if distances_px[least] <= reach_px:
                 near[here[least]].append(path)
         for k in here:
-            met = {id(path): path for path in near[k] + inside[k]}
+            met = {*near[k], *inside[k]}
             mixed = len(met) > 1 or any(
-                path.is_mixed and len(path.blobs) < rules.mixed_bins for path in met.values()
+                path.is_mixed and len(path.blobs) < rules.mixed_bins for path in met
             )
             alone = near[k][0] if len(near[k]) == 1 else None
             if alone is not None:
@@ -301,8 +298,7 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
                 alone = _Path([], mixed)
             alone.blobs.append(k)
             followed.append(alone)
-        still_going = {id(path) for path in followed}
-        done += [path for path in going if id(path) not in still_going]
+        done += [path for path in going if path not in followed]
         going = followed
     paths = sorted(done + going, key=lambda path: blobs.bins[path.blobs[0]])
     return [path.blobs for path in paths if not path.is_mixed]
