@@ -170,21 +170,6 @@ def moving():
     return column_of_events(EVEN_US, x=100 + np.rint(1e-3 * EVEN_US), y=50)
 
 
-def test_positions_are_the_means_of_the_windows(flight):
-    _, events = flight
-    times_s = np.linspace(-0.1, 4.1, 43)
-    track = object_motion(events, CAMERA).at(times_s)
-    for i, time_s in enumerate(times_s):
-        inside = np.abs(events["t"] + 0.5 - 1e6 * time_s) < 20_000  # [t - 20 ms, t + 20 ms)
-        assert track.counts[i] == inside.sum()
-        if inside.any():
-            mean = [events["x"][inside].mean(), events["y"][inside].mean()]
-            assert np.allclose(track.positions_px[i], mean, atol=1e-9)  # rounding of long sums
-        else:
-            assert np.isnan(track.positions_px[i]).all()
-            assert not track.valid[i]
-
-
 @pytest.mark.parametrize(
     "t_us",
     [
@@ -192,17 +177,24 @@ def test_positions_are_the_means_of_the_windows(flight):
         np.concatenate([np.arange(500), 2_000_000 + np.arange(3), 900_000_000 + np.arange(500)]),
         np.array([-70_000, -20_000, -20_000, 0, 20_000]),
         np.array([1_000_000]),
+        np.sort(np.random.default_rng(1).integers(0, 60_000, 200)),
     ],
-    ids=["repeated", "gaps", "negative", "single"],
+    ids=["repeated", "gaps", "negative", "single", "dense"],
 )
-def test_windows_are_found_in_uneven_recordings(t_us):
-    motion = object_motion(column_of_events(t_us, x=100, y=100), CAMERA)
+def test_positions_are_the_means_of_the_windows_also_in_uneven_recordings(t_us):
+    x, y = np.random.default_rng(0).integers(10, 200, (2, len(t_us)))
+    motion = object_motion(column_of_events(t_us, x, y), CAMERA)
     # Window bounds on, just before and just after events, and far outside.
     at_us = np.unique(t_us)[:, None] + [-20_001, -20_000, -19_999, 0, 19_999, 20_000, 20_001]
     at_us = np.append(at_us, [-(10**12), 10**12])
-    expected = np.searchsorted(t_us, at_us + 20_000) - np.searchsorted(t_us, at_us - 20_000)
-    assert np.array_equal(motion.at(at_us * 1e-6).counts, expected)
-    assert motion.at(at_us.reshape(1, -1, 1) * 1e-6).positions_px.shape == (1, len(at_us), 1, 2)
+    bounds = np.searchsorted(t_us, at_us - 20_000), np.searchsorted(t_us, at_us + 20_000)
+    track = motion.at(at_us.reshape(1, -1, 1) * 1e-6)
+    assert np.array_equal(track.counts.ravel(), bounds[1] - bounds[0])
+    expected = [
+        [np.mean(side[first:last]) if first < last else np.nan for side in (x, y)]
+        for first, last in zip(*bounds, strict=True)
+    ]
+    np.testing.assert_allclose(track.positions_px[0, :, 0], expected, atol=1e-9)  # long sums' error
 
 
 def test_velocities_and_sharp_positions_follow_the_path(flight):

@@ -180,6 +180,11 @@ def test_a_thread_is_found_on_whichever_side_it_is(towards_deg):
     assert mask[along < -2.0].mean() < 1e-3
 
 
+def in_a_fifth(events):
+    """Of the three tenths of a recording that are asked for."""
+    return events[events["t"] < 0.2e6 * HELD_S]
+
+
 @pytest.mark.parametrize(
     "beside",
     [
@@ -187,21 +192,16 @@ def test_a_thread_is_found_on_whichever_side_it_is(towards_deg):
         [NOISE],
         [thread(-90.0, length_px=15.0), NOISE],  # an antenna: it ends
         [thread(-90.0, goes_along=False), NOISE],  # stays where it is, as the edge of a door
+        [in_a_fifth(thread(-90.0)), NOISE],
         [noise(WIDTH, HEIGHT, 5.0, round(1e6 * HELD_S))],
     ],
-    ids=["alone", "noise", "antenna", "door", "much noise"],
+    ids=["alone", "noise", "antenna", "door", "short", "much noise"],
 )
 def test_nothing_else_is_taken_for_a_line(beside):
     kept, mask = found_in(disc(), *beside)
     assert len(kept) > 30_000  # the object is there
     assert mask is None
-
-
-def test_a_line_in_too_little_of_the_recording_is_none():
-    short = thread(-90.0)
-    short = short[short["t"] < 0.2e6 * HELD_S]  # of the three tenths that are asked for
-    assert found_in(disc(), short, NOISE)[1] is None
-    assert events_on_line(NOISE, NOISE[:0], WIDTH, HEIGHT, LineRules()) is None
+    assert events_on_line(kept, kept[:0], WIDTH, HEIGHT, LineRules()) is None
 
 
 def test_the_motion_without_the_line_goes_where_the_motion_goes():
@@ -263,13 +263,13 @@ def test_each_piece_is_of_one_thing(both):
 
 
 def test_pieces_follow_the_path():
-    scene = make_scene(4, duration_s=8.0)
-    found = objects_of(make_events(scene, 4, size_m=0.4)[0], CAMERA, RULES)
+    found = objects_of(flight(4)[0], CAMERA, RULES)
     for piece in found.pieces:
         bins = np.arange(piece.first, piece.last)
         times_s = 1e-6 * (found.start_us + RULES.bin_us * (bins + 0.5))
         inner = (times_s > 0.02) & (times_s < 7.98)  # bins that the flight fills
-        apart_px = np.linalg.norm(piece.positions_px - track_pair(scene, times_s)[0], axis=1)
+        seen_px = track_pair(make_scene(4, duration_s=8.0), times_s)[0]
+        apart_px = np.linalg.norm(piece.positions_px - seen_px, axis=1)
         # 500 events of 16 px lie 0.3 px from their mean; what leaves the view is cut.
         assert np.median(apart_px[inner]) < 0.5
 
