@@ -120,9 +120,8 @@ class _Matching:
         at = [np.linspace(0, n - 1, match.points).astype(np.int64) for n in lengths]
         x1, T1 = _centred(np.stack([p1[k] for k, (_, _, p1, _) in zip(at, together, strict=True)]))
         x2, T2 = _centred(np.stack([p2[k] for k, (_, _, _, p2) in zip(at, together, strict=True)]))
-        products = (_with_one(x2)[..., :, None] * _with_one(x1)[..., None, :]).reshape(
-            *x1.shape[:2], 9
-        )
+        h1, h2 = (np.insert(x, 2, 1.0, axis=-1) for x in (x1, x2))
+        products = (h2[..., :, None] * h1[..., None, :]).reshape(*x1.shape[:2], 9)
         moments = np.einsum("npi,npj->nij", products, products)
         longest = range(min(match.long_pairs, len(together)))
         a, b = np.array(list(combinations_with_replacement(longest, 2))).T
@@ -254,10 +253,6 @@ def _centred(p_px: Array) -> tuple[Array, Array]:
     T = np.diag([1.0 / SCALE_PX, 1.0 / SCALE_PX, 1.0])
     T[:2, 2] = -centre / SCALE_PX
     return (p_px - centre) / SCALE_PX, T
-
-
-def _with_one(x: Array) -> Array:
-    return np.concatenate([x, np.ones((*x.shape[:-1], 1))], axis=-1)
 
 
 def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:

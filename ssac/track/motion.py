@@ -262,10 +262,6 @@ class PointMotion:
             return np.inf, -np.inf
         return float(self.times_s[0]), float(self.times_s[-1])
 
-    def delayed(self, shift_us: int) -> "PointMotion":
-        """As if the camera's clock had shown `shift_us` [us] more."""
-        return replace(self, times_s=self.times_s + 1e-6 * shift_us)
-
     def read_out(self, readout_s: float) -> "PointMotion":
         """As if the rolling shutter took `readout_s` [s] from the first row to the last."""
         later_s = (readout_s - self.readout_s) * self.rows
