@@ -124,10 +124,7 @@ def radius_filter(
     sensor = width + 2 * margin_px, n_rows, margin_px
     ball = steps, spans_us, _core(squared_px, n_rows), core_us
     longest_us = max(core_us, 0) // 8
-    length = 1 << (_most_within(t, 2 * int(spans_us[0]) + longest_us) - 1).bit_length()
-    return events.compress(
-        _has_neighbours(t, x, y, sensor, *ball, longest_us, length, n_neighbours)
-    )
+    return events.compress(_has_neighbours(t, x, y, sensor, *ball, longest_us, n_neighbours))
 
 
 _NEVER_US = -(1 << 61)
@@ -167,7 +164,6 @@ def _has_neighbours(
     core: tuple[int, ...],
     core_us: int,
     longest_us: int,
-    length: int,
     n_neighbours: int,
 ) -> Mask:
     """Whether each event has `n_neighbours` others within a ball.
@@ -175,15 +171,13 @@ def _has_neighbours(
     The sensor has columns and rows of cells, and a margin on each side. The ball is of cells
     `steps` from an event's for `spans_us`, all at most one row from `core` for `core_us`. Loops
     over a tuple are compiled without a loop, and an index without a sign is not looked at twice.
-    Events of at most `longest_us` are taken together; `length`, a power of two, is above the number
-    of all that they and a ball reach.
+    Events of at most `longest_us` are taken together.
     """
     n, radius_us = len(t), spans_us[0]
-    together, leap = 64, 16  # events are taken by so many, so that loops are few, and long
+    together = 64  # events are taken by so many, so that loops are few, and long
     n_columns, n_rows, margin_px = sensor
-    mask = np.uint32(length - 1)
-    # A pixel's events are a chain from its latest one back, kept for as long as a ball reaches.
-    previous, cells = np.empty(length, np.int32), np.empty(length, np.int32)
+    # A pixel's events are a chain from its latest one back.
+    previous, cells = np.empty(n, np.int32), np.empty(n, np.int32)
     latest = np.full(n_columns * n_rows, -1, np.int32)
     counts = np.zeros(n_columns * n_rows, np.int32)  # in the core's time, of three rows, by column
     chains, chain_spans_us = np.empty(len(steps) + 1, np.int32), np.empty(len(steps) + 1, np.int64)
@@ -195,27 +189,26 @@ def _has_neighbours(
         while stop < last and t[stop] - t[start] <= longest_us:
             stop += 1
         earliest_us, latest_us = t[start], t[stop - 1]
-        # What leaves comes first, while the rings still hold it: a gap in time may be long.
         while first_of_core < end_of_core and t[first_of_core] < latest_us - core_us:
-            cell = cells[np.uint32(first_of_core) & mask]
+            cell = cells[np.uint32(first_of_core)]
             for row in (-1, 0, 1):
                 counts[np.uint32(cell + row)] -= 1
             first_of_core += 1
         while end < n and t[end] <= latest_us + radius_us:
             cell = (np.int64(x[end]) + margin_px) * n_rows + np.int64(y[end]) + margin_px
-            cells[np.uint32(end) & mask] = cell
-            previous[np.uint32(end) & mask] = latest[cell]
+            cells[np.uint32(end)] = cell
+            previous[np.uint32(end)] = latest[cell]
             latest[cell] = end
             end += 1
         while end_of_core < end and t[end_of_core] <= earliest_us + core_us:
-            cell = cells[np.uint32(end_of_core) & mask]
+            cell = cells[np.uint32(end_of_core)]
             for row in (-1, 0, 1):
                 counts[np.uint32(cell + row)] += 1
             end_of_core += 1
-        while first + leap < n and t[first + leap] < earliest_us - radius_us:
-            first += leap  # at most the first that a ball reaches, which the rings still hold
+        while t[first] < earliest_us - radius_us:
+            first += 1
         for i in range(start, stop):
-            here = cells[np.uint32(i) & mask]
+            here = cells[np.uint32(i)]
             n_found = -1  # the event finds itself
             for step in core:
                 n_found += counts[np.uint32(here + step)]
@@ -230,22 +223,9 @@ def _has_neighbours(
                     j, span_us = chains[k], chain_spans_us[k]
                     while j >= first and t[i] - t[j] <= span_us:
                         n_found += t[j] - t[i] <= span_us
-                        j = previous[np.uint32(j) & mask]
+                        j = previous[np.uint32(j)]
                     if n_found >= n_neighbours:
                         break
             keep[i] = n_found >= n_neighbours
         start = stop
     return keep
-
-
-@numba.njit(cache=True)
-def _most_within(t: IntArray, duration_us: int) -> int:
-    """Bound the events of the busiest stretch of time, both ends included, from above."""
-    look = 64  # events between two that are looked at
-    most = end = 0
-    for start in range(0, len(t) + look, look):
-        last_us = t[min(start, len(t) - 1)] + duration_us
-        while end < len(t) and t[end] <= last_us:
-            end += look
-        most = max(most, end - start + look)  # any stretch that begins after `start - look`
-    return most

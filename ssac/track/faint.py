@@ -266,11 +266,7 @@ def _sums(
     background: Array,
     rules: FaintRules,
 ) -> Array:
-    """Sum up the events about a path in the bins (n,) where it is known, as `_sums_in_bins` does.
-
-    Rates and background (n,) are events of the object in a bin, and of all else in a bin and a
-    pixel.
-    """
+    """Sum up the events about a path, as `_sums_in_bins` does."""
     events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
     expected = path.known, path.positions_px, path.velocities_px_s, path.around(sizes_px2)
     limits = rules.half_px, rules.counted, rules.inside, rules.around

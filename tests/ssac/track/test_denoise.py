@@ -37,12 +37,9 @@ def pixels(*squares):
 def blob(path, n=60_000, deviation_px=1.8, duration_us=LONG_US):
     """Events of something whose middle is at path(t) of times [s] -> (x, y) [px]."""
     rng = np.random.default_rng(0)
-    t = np.sort(rng.integers(0, duration_us, n))
-    x, y = (
-        np.clip(np.rint(at + rng.normal(0.0, deviation_px, n)), 0, most - 1).astype(int)
-        for at, most in zip(path(1e-6 * t), (WIDTH, HEIGHT), strict=True)
-    )
-    return events_from_arrays(t, x, y, rng.integers(0, 2, n))
+    times_s = np.sort(rng.uniform(0.0, 1e-6 * duration_us, n))
+    points_px = np.stack(path(times_s), axis=-1) + rng.normal(0.0, deviation_px, (n, 2))
+    return events_at(times_s, points_px, (WIDTH, HEIGHT))
 
 
 def flight(t_s):
