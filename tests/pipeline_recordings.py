@@ -127,15 +127,15 @@ def _round(seed: int) -> tuple[Scene, Scene]:
     return first, second
 
 
-def _three(seed: int) -> list[Any]:
+def _three(seed: int, share: float = 1.0) -> list[Any]:
     """Events of one flight in three views."""
     first, second = _round(seed)
-    one, two = make_events(first, seed, T_D_S, RATE_HZ, SIZE_M)
-    return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ, SIZE_M)[1]]
+    one, two = make_events(first, seed, T_D_S, RATE_HZ * share, SIZE_M)
+    return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ * share, SIZE_M)[1]]
 
 
 def _three_with_another() -> Seen:
-    both = zip(_three(4), _three(5), strict=True)
+    both = zip(_three(4), _three(5, 0.5), strict=True)
     return Seen(tuple(mixed(*one)[0] for one in both), _round(4))
 
 
