@@ -63,16 +63,6 @@ class Camera:
         pu, pv = self.K[:2, 2]
         return bool(0.0 <= pu <= self.width - 1 and 0.0 <= pv <= self.height - 1)
 
-    @property
-    def has_exchanged_centre(self) -> bool:
-        """Whether the principal point is far from the middle, and near it with u and v exchanged.
-
-        Far is a tenth of the width, beyond what lenses are off; near is half of that or less.
-        """
-        middle_px, centre_px = 0.5 * np.array([self.width - 1, self.height - 1]), self.K[:2, 2]
-        off_px, exchanged_px = np.linalg.norm([centre_px, centre_px[::-1]] - middle_px, axis=1)
-        return bool(off_px > 0.1 * self.width and exchanged_px < 0.5 * off_px)
-
 
 @dataclass(frozen=True)
 class Rig:
@@ -214,8 +204,12 @@ def check_cameras(rig: Cameras) -> None:
 def check_centres(rig: Cameras) -> None:
     """Raise SsacError for a principal point that seems exchanged, if nothing else is stated."""
     for k, camera in enumerate(rig.cameras, start=1):
-        if camera.has_exchanged_centre and not camera.states_intrinsics:
-            pu, pv = camera.K[:2, 2]
+        pu, pv = camera.K[:2, 2]
+        middle_px = 0.5 * np.array([camera.width - 1, camera.height - 1])
+        off_px, exchanged_px = np.linalg.norm([(pu, pv), (pv, pu)] - middle_px, axis=1)
+        # Far is a tenth of the width, beyond what lenses are off; near is half of that or less.
+        is_exchanged = off_px > 0.1 * camera.width and exchanged_px < 0.5 * off_px
+        if is_exchanged and not camera.states_intrinsics:
             raise SsacError(
                 f"camera {k}: the principal point, ({pu:g}, {pv:g}) px, lies far from the middle of"
                 f" the image of {camera.width} x {camera.height} px, and ({pv:g}, {pu:g}) px near"

@@ -60,10 +60,6 @@ def broken(imports: grimp.ImportGraph) -> Iterator[str]:
             yield options["name"]
 
 
-def test_all_contracts_are_kept(imports: grimp.ImportGraph) -> None:
-    assert list(broken(imports)) == [], "lint-imports says which imports break them"
-
-
 def test_folders_are_two_levels(imports: grimp.ImportGraph) -> None:
     assert not [name for name in imports.modules if name.count(".") > 2]
 
@@ -93,6 +89,7 @@ def test_a_wrong_import_is_found(imports, importer, imported, contract) -> None:
 
 
 def test_a_circle_within_a_folder_is_found(imports: grimp.ImportGraph) -> None:
+    """And nothing else, as all contracts are kept without it."""
     changed = deepcopy(imports)
     for one, other in (("one", "other"), ("other", "one")):
         changed.add_import(importer=f"ssac.track.{one}", imported=f"ssac.track.{other}")

@@ -31,7 +31,7 @@ from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
 from ssac.points import PointTrack
 from tests.recorded import kalibr_with_pose
-from tests.ssac.files.test_event_files import FORMS, random_events
+from tests.ssac.files.test_event_files import BAGS, FORMS, random_events
 
 MAX_SILENT = 0.005
 """Share of the damages by which events may be lost unseen: a changed bit can make another event."""
@@ -42,6 +42,7 @@ MAX_BYTES = 2 << 30
 WITHOUT_END = (".raw", ".dat", ".es", ".txt", ".csv")  # one that is cut is a shorter recording
 TEXT = (".txt", ".csv", ".yaml", ".toml", ".obj", ".json")
 WORD = re.compile(rb"[^\s,:=\[\]{}]+")
+TWO_LINES = re.compile(rb"(.+\n?)(.*\n?)")
 NASTY_WORDS = (
     b"nan", b"inf", b"-inf", b"-1", b"0", b"1e400", b"9" * 30, b"9" * 5000, b"4294967296", b"",
     b"[]", b"{}", b"'", b'"', b"\0", b"\xff", b"true", b"null", b"~", b"1e-3", b"0x10", b"[[1]]",
@@ -64,40 +65,31 @@ SIZES = (
 @st.composite
 def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
     """Change a copy of a file; its start, where headers stand, as often as all else."""
+    if is_text and draw(st.booleans()):
+        if draw(st.booleans()):
+            word = draw(st.sampled_from([*WORD.finditer(whole)]))
+            return whole[: word.start()] + draw(st.sampled_from(NASTY_WORDS)) + whole[word.end() :]
+        lines = draw(st.sampled_from([*TWO_LINES.finditer(whole)]))
+        one, other = lines.groups()
+        instead = draw(st.sampled_from((other, one + one + other, other + one)))
+        return whole[: lines.start()] + instead + whole[lines.end() :]
     n = len(whole)
     places = st.integers(0, min(n, 1000) - 1) | st.integers(0, n - 1)
     at = draw(places)
     end = at + draw(st.integers(1, max(1, min(4096, n // 5))))
-    few = st.binary(min_size=1, max_size=16)
-    if is_text and draw(st.booleans()):
-        words = [one.span() for one in WORD.finditer(whole)]
-        lines = whole.splitlines(keepends=True)
-        k = draw(st.integers(0, len(lines) - 1))
-        start, stop = draw(st.sampled_from(words))
-        changed_line = draw(st.sampled_from(([], [lines[k]] * 2, lines[k : k + 2][::-1])))
-        return draw(
-            st.sampled_from(NASTY_WORDS).map(lambda word: whole[:start] + word + whole[stop:])
-            | st.just(b"".join([*lines[:k], *changed_line, *lines[k + len(changed_line or "-") :]]))
-        )
-    return draw(
-        st.lists(st.tuples(places, st.integers(0, 7)), min_size=1, max_size=8).map(
-            lambda bits: flipped(whole, bits)
-        )
-        | few.map(lambda inserted: whole[:at] + inserted + whole[at:])
-        | few.map(lambda removed: whole[:at] + whole[at + len(removed) :])
-        | (st.sampled_from((b"\0", b"\xff")) | few).map(
-            lambda fill: whole[:at] + (4096 * fill)[: len(whole[at:end])] + whole[end:]
-        )
-        | st.just(whole[:end] + whole[at:])
-        | st.just(whole[: max(at, 1)])
+    few = draw(st.sampled_from((b"\0", b"\xff")) | st.binary(min_size=1, max_size=16))
+    flipped = bytearray(whole)
+    for place, bit in draw(st.lists(st.tuples(places, st.integers(0, 7)), min_size=1, max_size=8)):
+        flipped[place] ^= 1 << bit
+    changed = (
+        bytes(flipped),
+        whole[:at] + few + whole[at:],
+        whole[:at] + whole[at + len(few) :],
+        whole[:at] + (4096 * few)[: len(whole[at:end])] + whole[end:],
+        whole[:end] + whole[at:],
+        whole[: max(at, 1)],
     )
-
-
-def flipped(whole: bytes, bits: list[tuple[int, int]]) -> bytes:
-    changed = bytearray(whole)
-    for at, bit in bits:
-        changed[at] ^= 1 << bit
-    return bytes(changed)
+    return draw(st.sampled_from(changed))
 
 
 def restructure(draw: st.DrawFn, path: Path) -> None:
@@ -172,7 +164,7 @@ OTHERS: dict[str, tuple[Write, Use]] = {
     "row.json": (text(text_of_row(ROW)), use_row),
     "means.npz": (lambda path: np.savez(path, **MEANS), use_means),
 }
-EVENTS = [name for name in FORMS if not name.endswith((".bag", ".db3", ".mcap"))]
+EVENTS = [name for name in FORMS if name not in BAGS]
 
 
 @pytest.fixture

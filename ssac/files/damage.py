@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssac.arrays import Events
+from ssac.arrays import Events, Mask
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events
 
@@ -44,6 +44,12 @@ def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
             "with --allow-damaged"
         )
     warnings.warn(f"{path} is damaged, and what is left of it is read: {found}", stacklevel=3)
+
+
+def count_repeated(is_same: Mask) -> int:
+    """Count, of n things, those of runs of `REPEATED` or more; (n - 1,): as the one before it."""
+    runs = np.diff(np.flatnonzero(~is_same), prepend=-1, append=len(is_same))
+    return int(runs[runs >= REPEATED].sum())
 
 
 def checked_file(
@@ -100,9 +106,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     signs: list[str] = []
     if n_leaps:
         signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
-    is_same = (steps_us == 0) & (x[1:] == x[:-1]) & (y[1:] == y[:-1])
-    runs = np.diff(np.flatnonzero(~is_same), prepend=-1, append=len(t) - 1)
-    n_repeated = runs[runs >= REPEATED].sum()
+    n_repeated = count_repeated((steps_us == 0) & (x[1:] == x[:-1]) & (y[1:] == y[:-1]))
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ssac.arrays import Events, Mask
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile
-from ssac.files.damage import REPEATED, Reading, checked_file, refuse_damaged
+from ssac.files.damage import Reading, checked_file, count_repeated, refuse_damaged
 from ssac.files.readable import brief, readable, silenced
 
 Words = NDArray[Any]
@@ -177,11 +177,8 @@ def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]
 
 
 def _repeated(words: Words, is_event: Mask) -> int:
-    """Count the words of events that stand there `REPEATED` times in a row or more."""
-    same = np.flatnonzero((words[1:] == words[:-1]) & is_event[1:])
-    starts = np.flatnonzero(np.diff(same, prepend=-2) != 1)
-    runs = np.diff(starts, append=len(same)) + 1
-    return int(runs[runs >= REPEATED].sum())
+    """Count the words of events that stand there again and again."""
+    return count_repeated((words[1:] == words[:-1]) & is_event[1:])
 
 
 def _signs_of_packets(path: Path) -> list[str]:
