@@ -113,12 +113,10 @@ def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
 
 
 def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
-    """Score an answer as a study does; an error as it is."""
+    """Score an answer as a study does."""
     from experiments.lab.schedule import plain
     from experiments.lab.scored import _scored
 
-    if "error" in fields:
-        return {"error": " ".join(fields["error"].split())}
     cell, chain = _of_study(recorded, method)
     n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
     truth = chain.rig.pair(0, 1)

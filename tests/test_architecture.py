@@ -1,6 +1,5 @@
 """Which way imports go: the contracts of pyproject.toml, and that each finds what it is for."""
 
-import re
 from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -101,14 +100,6 @@ def test_a_new_folder_needs_a_place(imports: grimp.ImportGraph, package: str) ->
     changed = deepcopy(imports)
     changed.add_module(f"{package}.new")
     assert list(broken(changed)) == [f"Data flow one way through {package}"]
-
-
-def test_docstrings_leave_types_to_the_signature() -> None:
-    """Of parameters, in NumPy's form, names alone."""
-    typed = re.compile(r"Parameters\n *-{3,}\n(?:.*\n)*? *\*{0,2}\w+(?:, \*{0,2}\w+)* : ")
-    assert typed.search("    Parameters\n    ----------\n    a\n        One.\n    b, c : int\n")
-    paths = module_files().values()
-    assert not [path for path in paths if typed.search(path.read_text(encoding="utf-8"))]
 
 
 def test_both_sides_have_the_same_events() -> None:

@@ -6,7 +6,7 @@ it what the Python call left: nothing is estimated twice of what is the same to 
 """
 
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -48,107 +48,59 @@ METHODS = {
 """Those asked about a recording, where they are not FEW: all where methods need what some
 recordings lack, and one where objects take seconds to be told apart."""
 
-WAYS: dict[str, Callable[..., Any]] = {
-    "command line": by_command_line,
-    "row": row_by_study,
-    "network": by_network,
-}
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch) -> dict[bytes, dict[Any, Any]]:
+    """What chains of the same files and rig find, which they share until it is cleared."""
+    of_chains, init = dict[bytes, dict[Any, Any]](), Chain.__init__
+
+    def begun(chain: Chain, cameras: Any, rig: Any, *more: Any) -> None:
+        init(chain, cameras, rig, *more)
+        if all(isinstance(camera, Recording) for camera in cameras):
+            chain._kept = of_chains.setdefault(pickle.dumps(([*cameras], chain.rig)), {})
+
+    monkeypatch.setattr(Chain, "__init__", begun)
+    return of_chains
 
 
-@pytest.fixture(scope="module")
-def answers(tmp_path_factory) -> Iterator["Answers"]:
+def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
+    """Name the ways of a recording: what each must answer, by the Python call, and its answer."""
+    if len(recorded.files) > 2:
+        yield "network", of_pairs(recorded, method), answered(by_network, recorded, method)
+        return
+    told = answered(told_by_python, recorded, method)
+    yield "command line", told.get("json", told), answered(by_command_line, recorded, method)
+    if recorded.name != "without_pose":  # studies know every pose
+        row = told if "error" in told else row_of(told["estimate"], recorded, method)
+        yield "row", row, answered(row_by_study, recorded, method)
+
+
+def of_pairs(recorded: Recorded, method: str) -> dict[Any, Any]:
+    """Answer each pair of cameras alone; the first error is that of all."""
+    # One object is chosen for the whole rig, which may be another than a pair alone chooses.
+    alone = by_chain if recorded.name == "three_cameras_two_drones" else by_python
+    pairs = combinations(range(len(recorded.files)), 2)
+    answers = {pair: answered(alone, recorded, method, pair) for pair in pairs}
+    return next((one for one in answers.values() if "error" in one), answers)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_one_answer(name, tmp_path, found):
+    recorded, different = write(name, tmp_path), list[str]()
     # Matrices are so small that threads of BLAS only wait, which doubles the CPU time.
-    with threadpool_limits(1), pytest.MonkeyPatch.context() as patch:
-        yield Answers(tmp_path_factory.mktemp("one_answer"), patch)
-
-
-class Answers:
-    """Recordings and what the Python call answers, each made once."""
-
-    def __init__(self, folder, patch: pytest.MonkeyPatch) -> None:
-        self.folder = folder
-        self._recorded = dict[str, Recorded]()
-        self._answers = dict[tuple[Any, ...], Any]()
-        self._now: tuple[str, str] = "", ""
-        self._found = dict[bytes, dict[Any, Any]]()  # by chains of the recording asked for last
-        patch.setattr(Chain, "__init__", self._shared(Chain.__init__))
-
-    def _shared(self, init: Callable[..., None]) -> Callable[..., None]:
-        """Let chains of the same files and rig share what they find, for one method at a time."""
-
-        def begun(chain: Chain, cameras: Any, rig: Any, *more: Any) -> None:
-            init(chain, cameras, rig, *more)
-            if all(isinstance(camera, Recording) for camera in cameras):
-                key = pickle.dumps((self._now, [*cameras], chain.rig))
-                chain._kept = self._found.setdefault(key, {})
-
-        return begun
-
-    def recorded(self, name: str) -> Recorded:
-        """Write a recording's files."""
-        if name not in self._recorded:
-            self._recorded[name] = write(name, self.folder)
-        return self._recorded[name]
-
-    def by(self, way: Callable[..., Any], name: str, method: str, *pair: Any) -> Any:
-        """Ask one way."""
-        key = (way, name, method, *pair)
-        if self._now[0] != name:
-            self._found.clear()
-        self._now = name, method
-        if key not in self._answers:
-            self._answers[key] = answered(way, self.recorded(name), method, *pair)
-        return self._answers[key]
-
-
-def expected(way: str, answers: Answers, name: str, method: str) -> Any:
-    """Give what a way must answer, by the Python call."""
-    if way == "network":
-        pairs = combinations(range(len(answers.recorded(name).files)), 2)
-        # One object is chosen for the whole rig, which may be another than a pair alone chooses.
-        alone = by_chain if name == "three_cameras_two_drones" else by_python
-        of_pairs = {pair: answers.by(alone, name, method, pair) for pair in pairs}
-        return next((found for found in of_pairs.values() if "error" in found), of_pairs)
-    told = answers.by(told_by_python, name, method)
-    if "error" in told:
-        return told
-    if way == "command line":
-        return told["json"]
-    found = told["estimate"]
-    if way == "row":
-        return row_of(found, answers.recorded(name), method)
-    return found
-
-
-def different(way: str, answers: Answers, name: str, methods: tuple[str, ...]) -> list[str]:
-    """Say what differs between one way and the Python call."""
-    return [
-        f"{method}: {field}: {one} by Python, {other} by {way}"
-        for method in methods
-        for field, one, other in differences(
-            expected(way, answers, name, method), answers.by(WAYS[way], name, method)
-        )
-        # Pairs of a network look for no body, as it is followed in all of its cameras together.
-        if not (way == "network" and field.endswith("without_body"))
-    ]
-
-
-def cases() -> Iterator[Any]:
-    """List all recordings by all ways."""
-    for name in RECORDINGS:
-        for way in WAYS:
-            if (way == "network") != name.startswith("three"):
-                continue
-            if (way, name) == ("row", "without_pose"):  # studies know every pose
-                continue
-            yield pytest.param(way, name, id=f"{way}-{name}")
-
-
-@pytest.mark.parametrize(("way", "name"), list(cases()))
-def test_one_answer(way, name, answers):
-    assert different(way, answers, name, METHODS.get(name, FEW)) == []
-    if way == "network" and name != "three_cameras":  # here, where the one object is known
-        same_of_all_cameras(answers.recorded(name), answers.folder / "three.json")
+    with threadpool_limits(1):
+        for method in METHODS.get(name, FEW):
+            found.clear()  # no method owes its answer to another
+            different += [
+                f"{method}: {field}: {one} by Python, {other} by {way}"
+                for way, expected, answer in ways(recorded, method)
+                for field, one, other in differences(expected, answer)
+                # Pairs of a network look for no body, which is followed in all cameras together.
+                if not (way == "network" and field.endswith("without_body"))
+            ]
+        assert different == []
+        if len(recorded.files) > 2:
+            same_of_all_cameras(recorded, tmp_path / "three.json")
 
 
 def same_of_all_cameras(recorded: Recorded, out: Path) -> None:

@@ -70,9 +70,3 @@ def test_a_rig_that_grows_without_end_is_one_short_error(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="cam0, intrinsics: expected 4 finite") as raised:
         load_rig(tmp_path / "rig.yaml")
     assert len(str(raised.value)) < 1000
-
-
-def test_the_page_names_what_is_read() -> None:
-    text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-    for suffix in (".h5", ".raw", ".dat", ".es", ".aedat4", ".csv", ".yaml", ".toml"):
-        assert suffix in text
