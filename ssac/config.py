@@ -29,8 +29,6 @@ _COUNTS = {
 
 CLOCKS = ("auto", "affine", "pieces")
 
-SEARCHES = ("auto", "interval", "all")
-
 Interval = tuple[float, float]
 """A lower and an upper bound."""
 
@@ -161,7 +159,7 @@ def validated(config: Config | None) -> Config:
     for name, word, words in (
         ("robust", config.robust, ("lmeds", "magsac")),
         ("clock", config.clock, CLOCKS),
-        ("search", config.search, SEARCHES),
+        ("search", config.search, ("auto", "interval", "all")),
     ):
         if not isinstance(word, str) or word not in words:
             raise SsacError(f"{name} must be {' or '.join(words)}, got {word!r}")

@@ -61,7 +61,7 @@ def _rig(seen: Seen) -> dict[str, Any]:
     for k, scene in enumerate((None, *seen.scenes)):
         rig[f"cam{k}"] = dict(entry)
         if scene is not None and seen.has_pose:
-            T_k_1 = np.vstack([np.column_stack([scene.R, scene.t]), [0.0, 0.0, 0.0, 1.0]])
+            T_k_1 = scene.rig.T_2_1
             rig[f"cam{k}"]["T_cn_cnm1"] = (T_k_1 @ np.linalg.inv(before)).tolist()
             before = T_k_1
     return rig

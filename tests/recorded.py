@@ -5,27 +5,20 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.text import save_events_text
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
+from tests.ssac.tracks import rig_document
 
 T_D_S = 0.05
 FRAME_S = 0.02
 DURATION_S = 8.0
 
-KALIBR = f"""\
-cam0: &camera
-  camera_model: pinhole
-  intrinsics: [200.0, 200.0, 173.0, 130.0]
-  distortion_model: none
-  distortion_coeffs: []
-  resolution: [{WIDTH}, {HEIGHT}]
-cam1:
-  <<: *camera
-"""
+KALIBR = yaml.safe_dump(rig_document(distortion_coeffs=[]))
 
 
 def kalibr_with_pose(R: NDArray[np.float64], t: NDArray[np.float64]) -> str:

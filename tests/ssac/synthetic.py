@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from ssac.arrays import Array
 from ssac.camera import Camera, Rig, distort_points
 from ssac.events import EVENT_DTYPE
 from ssac.track.clean import Clean
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, FOCAL_PX = 346, 260, 200.0
 DISTANCE_M = 5.0  # from each camera to the point both look at
