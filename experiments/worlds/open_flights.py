@@ -250,9 +250,7 @@ class Scene:
         config = flight_config(cause.path, self.cell.sim.angle_deg)
         spline = replace(config.spline, duration_s=cause.duration_s)
         config = replace(config, spline=spline, t_d_s=T_D_S)
-        if cause.path in PATHS:
-            return flight_of(cause.path, config, seed, self.cache), T_D_S
-        return recorded_pair(self.cache, config, seed), T_D_S
+        return flight_of(cause.path, config, seed, self.cache), T_D_S
 
     def _tracked(self, seed: int) -> tuple[Pair, float]:
         cause, rng = self.cause, generator(seed, _PATH_STREAM)
