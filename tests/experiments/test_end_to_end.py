@@ -13,8 +13,10 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
+from experiments.lab.cache import Cache
 from experiments.lab.recorded import observations, rig_of
 from experiments.lab.score import score
+from experiments.worlds.odd import drawn, recorded, truth_of
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
@@ -97,3 +99,13 @@ def test_a_rigid_body_joins_the_tangents_with_noise_and_without(sensor):
     joined = tangency(*observations(recording), rig_of(recording))
     assert_close(joined, recording.truth, SHORT.t_d_s)
     assert joined.without_body == ""
+
+
+def test_a_large_object_starts_from_its_silhouettes(tmp_path):
+    cell = drawn(300, 901)  # 74 px wide, for 3.4 s: the mean of its events is off by pixels
+    pair = recorded(cell, Cache(tmp_path))
+    truth = truth_of(cell, pair)
+    found = tangency(pair.cam1, pair.cam2, pair.rig)
+    assert_close(found, truth, truth.t_d_of(found))
+    assert found.start.status == "degenerate_pose"
+    assert "so large" in found.without_body
