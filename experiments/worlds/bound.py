@@ -27,6 +27,7 @@ from scipy.interpolate import CubicSpline
 
 from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
+from ssac.files.readable import readable
 from ssac.fit.least_squares import Parameters
 from ssac.geometry.epipolar import (
     fundamental_from_pose,
@@ -129,10 +130,16 @@ class MethodBound:
 
 def load_truth(folder: Path) -> TrueMotion:
     """Read the flight off the truth.json of a recording."""
-    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    T_C_W = [camera["T_C_W"] for camera in truth["cameras"].values()][:2]
-    arrays = (truth["times_s"], truth["drone_position_W_m"], T_C_W)
-    return TrueMotion(*(np.array(values, dtype=np.float64) for values in arrays))
+    path = folder / "truth.json"
+    with readable(path, "the truth of a recording"):
+        truth = json.loads(path.read_text(encoding="utf-8"))
+        T_C_W = [camera["T_C_W"] for camera in truth["cameras"].values()][:2]
+        arrays = (truth["times_s"], truth["drone_position_W_m"], T_C_W)
+        times_s, positions_m, poses = (np.array(values, dtype=np.float64) for values in arrays)
+        n = len(times_s)
+        if (positions_m.shape, poses.shape) != ((n, 3), (2, 4, 4)) or times_s.ndim != 1:
+            raise ValueError("its lists are not of one length, or no poses of two cameras")
+    return TrueMotion(times_s, positions_m, poses)
 
 
 def method_bound(
