@@ -108,7 +108,7 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
             spread = float(np.sqrt(np.mean(np.square(off)))) if len(off) else np.nan
             row = {**counts, "quantity": quantity, "median": np.nan}
             if quantity == "t_d_ms":
-                row["median"] = ok["t_d_ms"].median()
+                row["median"] = ok["t_d_ms"].dropna().median()
             row |= {"spread": spread, "most": np.max(np.abs(off), initial=0.0), "stated": stated}
             rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
     return pd.DataFrame(rows)
@@ -117,16 +117,16 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
 def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
     """Distances from the mean of each quantity that there is, and the median stated deviation."""
     t_d = ok["t_d_ms"].to_numpy(np.float64)
-    found = {"t_d_ms": (t_d - t_d.mean() if len(t_d) else t_d, ok["t_d_std_ms"].median())}
+    found = {"t_d_ms": (t_d - t_d.mean() if len(t_d) else t_d, ok["t_d_std_ms"].dropna().median())}
     posed = ok[ok["t_x"].notna()]
     if len(posed):
         turns = Rotation.from_rotvec(posed[["r_x_deg", "r_y_deg", "r_z_deg"]], degrees=True)
         off_deg = np.rad2deg((turns.mean().inv() * turns).magnitude())
-        found["R_deg"] = (off_deg, posed["r_std_deg"].median())
+        found["R_deg"] = (off_deg, posed["r_std_deg"].dropna().median())
         t = posed[["t_x", "t_y", "t_z"]].to_numpy(np.float64)
         mean = t.mean(axis=0) / np.linalg.norm(t.mean(axis=0))
         apart = np.arctan2(np.linalg.norm(np.cross(t, mean), axis=1), t @ mean)
-        found["t_deg"] = (np.rad2deg(apart), posed["t_std_deg"].median())
+        found["t_deg"] = (np.rad2deg(apart), posed["t_std_deg"].dropna().median())
     return found
 
 
