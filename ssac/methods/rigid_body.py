@@ -62,13 +62,14 @@ def is_large(views: TwoViews) -> bool:
 def by_areas(views: TwoViews, t_d_s: float) -> TwoViews | None:
     """Give the views where the object is at the centres of its silhouettes; None without them.
 
-    Offsets are searched about one [s].
+    Offsets are searched about one [s], if it is not NaN.
     """
     shapes = _shapes_of(views)
     if isinstance(shapes, str):
         return None
-    reach_s = views.rules.tangency.area_reach_s
-    config = replace(views.config, interval_s=(t_d_s - reach_s, t_d_s + reach_s))
+    reach_s, config = views.rules.tangency.area_reach_s, views.config
+    if np.isfinite(t_d_s):
+        config = replace(config, interval_s=(t_d_s - reach_s, t_d_s + reach_s))
     one, other = (shape.centres for shape in shapes)
     return TwoViews(one, other, views.rig, config, clock=views.clock)
 

@@ -354,6 +354,14 @@ def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch):
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
 
 
+def test_centres_of_area_are_searched_about_an_offset_or_where_the_views_are(monkeypatch):
+    views = body_views()
+    shapes = tuple(rigid_body._shape_of(shaped()[k], views, k + 1) for k in (0, 1))
+    monkeypatch.setattr(rigid_body, "_shapes_of", lambda _: shapes)
+    assert rigid_body.by_areas(views, 0.3).config.offsets_s == pytest.approx((-0.2, 0.8))
+    assert rigid_body.by_areas(views, np.nan).config.offsets_s == views.config.offsets_s
+
+
 def test_it_says_why_there_is_no_body(monkeypatch):
     found = off_the_truth()
     assert rigid_body.body_points(found, body_views()) == ""  # of tracks nothing could be tried
