@@ -247,7 +247,8 @@ def solve(
 ) -> Solution:
     """Minimise Cauchy's loss by Gauss-Newton steps; columns that the start lacks begin at zero.
 
-    A step whose norm is below `last_step` ends the iteration; at 0 all steps are made.
+    A step whose norm [s, rad, and the columns' units] is below `last_step` ends the iteration; at 0
+    all steps are made.
     """
     columns = np.zeros(len(problem.columns))
     kept = start.columns[: len(columns)]

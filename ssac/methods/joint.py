@@ -48,7 +48,11 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
-    """Minimise Cauchy's loss of the Sampson distances; a start that is not "ok" is given back."""
+    """Minimise Cauchy's loss of the Sampson distances, from an offset and a pose.
+
+    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
+    is a `t_d_std_s` but no `covariance`.
+    """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     return _OfPositions(start, views).estimate(start.R, start.t)

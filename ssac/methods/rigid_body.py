@@ -54,7 +54,7 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
 
 
 def is_large(views: TwoViews) -> bool:
-    """Whether errors of a body, which grow with its image, are above those of tangents."""
+    """Whether an image is so large that its events' mean is far off, and a body errs more."""
     sizes_px = [view.size_px for view in views.alone.views if view is not None]
     return max(sizes_px, default=0.0) >= views.rules.silhouette.large_px
 

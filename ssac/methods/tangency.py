@@ -194,7 +194,10 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
-    """Join tangents with the pairs of one point of a rigid body, where both views show one."""
+    """Join tangents with the pairs of one point of a rigid body, where both views show one.
+
+    Where the body contradicts what was found, deviations become as wide as the contradiction.
+    """
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
         return found
@@ -211,7 +214,7 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
     if covariance is not None:
         apart = float(np.sqrt(change @ np.linalg.solve(covariance, change)))
         covariance = covariance + np.outer(change, change)
-    if apart > rules.max_apart:  # either may be right: deviations become as wide
+    if apart > rules.max_apart:  # either may be right
         wider = replace(widened(found, change[0] ** 2), covariance=covariance)
         return replace(wider, without_body="the body contradicts the tangents")
     return joined

@@ -10,6 +10,7 @@ Thresholds that differ, pixels that are blind after an event, and noise count wr
 taken for granted that what leaves its level comes back to it: steps back are as large as it takes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,11 +100,12 @@ def silhouettes(
     placed[own] = corners
     is_large = float(np.median(sizes_px)) >= rules.large_px
     start = where_px[0], rules.window_sizes * sizes_px[0], rules.min_covered_share
-    shown, cleaner = (
-        _with_covered(one, *start) if is_large else one
-        for one in (_seen(events, camera, samples_us, boxes) for events in (recorded, denoised))
-    )
-    found = _counted_up(shown, cleaner, ramps_us, rules)
+
+    def prepared(events: Events) -> Counted | None:
+        counted = _seen(events, camera, samples_us, boxes)
+        return _with_covered(counted, *start) if is_large else counted
+
+    found = _counted_up(recorded, denoised, prepared, ramps_us, rules)
     if found is None:
         return None
     seen, linked, full = found
@@ -120,33 +122,38 @@ def silhouettes(
 
 
 def _counted_up(
-    recorded: Counted | None, denoised: Counted | None, ramps_us: Array, rules: SilhouetteRules
+    recorded: Events,
+    denoised: Events,
+    prepared: Callable[[Events], Counted | None],
+    ramps_us: Array,
+    rules: SilhouetteRules,
 ) -> tuple[Seen, Linked, float] | None:
     """Count up all events, or where these do not come out even the denoised ones.
 
     Gives beside the level of a pixel that is covered all over.
     """
-    if recorded is None:
+    counted = prepared(recorded)
+    if counted is None:
         return None
-    seen, polarities = recorded
-    linked, rests, closed = _linked_levels(seen, polarities)
+    linked, rests, closed = _linked_levels(*counted)
     is_even = closed >= rules.min_closed_share * rests
     if not is_even:  # noise, or thresholds that differ
-        if denoised is None:
+        counted = prepared(denoised)
+        if counted is None:
             return None
-        seen, polarities = denoised
-        linked, _, _ = _linked_levels(seen, polarities)
+        linked, _, _ = _linked_levels(*counted)
         quiet_us = rules.quiet_ramps * float(np.median(ramps_us))
-        times = seen[0][0], quiet_us, 1e6 * rules.open_s
-        levels, left, came_back = _evened(*times, polarities, linked[1:], rules.back_shares)
+        times = counted[0][0][0], quiet_us, 1e6 * rules.open_s
+        levels, left, came_back = _evened(*times, counted[1], linked[1:], rules.back_shares)
         if came_back < rules.min_back_share * left:
             return None
         linked = levels, *linked[1:]
-    counted = np.abs(linked[0][np.searchsorted(seen[0][0], seen[2][0][0]) :])
-    counted = counted if is_even else counted[counted > 0.0]  # lone steps count for nothing
-    if len(counted) == 0:
+    (times_us, *_), _, (samples_us, _) = seen = counted[0]
+    levels = np.abs(linked[0][np.searchsorted(times_us, samples_us[0]) :])
+    levels = levels if is_even else levels[levels > 0.0]  # lone steps count for nothing
+    if len(levels) == 0:
         return None
-    return seen, linked, float(np.percentile(counted.astype(np.float64), rules.full_percentile))
+    return seen, linked, float(np.percentile(levels.astype(np.float64), rules.full_percentile))
 
 
 def _with_covered(
