@@ -538,7 +538,11 @@ class TangencyRules:
     hidden_width: float = 1.8
     least_size_px: float = 3.5  # rms, of both images together, for an outline
     area_reach_s: float = 0.5  # about its offset, in which that of the centres of area is searched
-    max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations
+    # From the start's offset to the tangents', in the start's deviations, beyond which nothing is
+    # surer than their difference: where the start is refused, or so small a share of all tangents
+    # is seen. By numbers 1062 to 1241 of `ssac by-hand`: above .4 the tangents are right.
+    max_sigmas: float = 3.0
+    few_seen: float = 0.4
     max_rounds: int = 8  # of finding the tangents and refining; four are usual
     steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
     last_turn: float = 1e-4  # [rad] of the pose, between rounds

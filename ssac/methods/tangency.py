@@ -170,27 +170,39 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
     assert start.start is not None
     search, rules = start.start.start, views.rules.verdict
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
-        return with_body(certain(refine_tangents(start, views), rules), views)
+        found = certain(refine_tangents(start, views), rules)
+        joined, strays_s = with_body(found, views), _strays_s(start, found, views)
+        is_sure = joined.t_d_s != found.t_d_s or not _sees_few(found, views)
+        return joined if is_sure else widened(joined, strays_s**2)
     search = replace(search, method=start.method, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):
         # The refinement of this search was refused for its covariance.
         settled = Choice(positions, refine).settled(search)
         found = certain(refine_tangents(settled, views), rules)
-        strays_s, most = abs(found.t_d_s - start.t_d_s), views.rules.tangency.max_sigmas
         if found.status != Status.OK:  # what fits poorly is not to be relied upon in part
             return found if found.status == Status.POOR_FIT else start
-        # Where both disagree, either may be wrong: nothing is surer than their difference.
-        is_astray = strays_s > most * start.t_d_std_s
-        return widened(start, strays_s**2) if is_astray else with_body(found, views)
+        strays_s = _strays_s(start, found, views)
+        return widened(start, strays_s**2) if strays_s > 0.0 else with_body(found, views)
     if positions.alone.repeats or len(search.alternatives_s) == 0:  # motion leaves the offset open
         return start
 
-    def refined(search: Estimate, views: TwoViews) -> Estimate:
-        # positions lead to the tangents
-        return refine_tangents(refine(search, positions), views)
+    def refined(search: Estimate, positions: TwoViews) -> Estimate:
+        return refine_tangents(refine(search, positions), views)  # positions lead to the tangents
 
-    found = certain(Choice(views, refined, by_own_pairs=True).settled(search), rules)
+    found = certain(Choice(positions, refined, by_own_pairs=True).settled(search), rules)
     return with_body(found, views) if found.status == Status.OK else start
+
+
+def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
+    """How far the tangents are from a start that is against them, else 0; either may be wrong."""
+    strays_s = abs(found.t_d_s - start.t_d_s)
+    return strays_s if strays_s > views.rules.tangency.max_sigmas * start.t_d_std_s else 0.0
+
+
+def _sees_few(found: Estimate, views: TwoViews) -> bool:
+    """Whether so few tangents are seen that one view's may be of other parts than the other's."""
+    n_times = len(tangent_times(views, found.t_d_s)) if found.status == Status.OK else 0
+    return found.n_samples < views.rules.tangency.few_seen * 2.0 * n_times
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:

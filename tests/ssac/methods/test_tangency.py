@@ -149,6 +149,19 @@ def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
     assert alone.status == "degenerate_pose"
 
 
+def test_few_tangents_against_a_start_are_no_surer_than_their_difference():
+    by_means = joint_from(algorithm_2(VIEWS), VIEWS)
+    sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
+    deviations_s = []
+    for few_seen in (0.0, 0.1, 2.0):  # none are few, those seen are not, and any are
+        rules = TangencyConfig(joins_body=False, few_seen=few_seen)
+        found = tangency_from(sure, VIEWS.by(tangency=rules))
+        assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # as of tangents alone
+        deviations_s.append(found.t_d_std_s)
+    assert deviations_s[0] == deviations_s[1] < 1e-3
+    assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], sure.t_d_s - found.t_d_s))
+
+
 @pytest.mark.parametrize("scale", [1, 8])
 def test_tangents_touch_the_outermost_corners(scale):
     """With the true pose and offset."""
