@@ -68,9 +68,10 @@ class Camera:
 class Rig:
     """Two cameras and, where it is known, the transform from camera 1 to camera 2."""
 
-    cam1: Camera
-    cam2: Camera
+    cam1: Camera  # its frame and its clock are those of the rig
+    cam2: Camera  # the other
     T_2_1: Array | None = None  # (4, 4), x2 = T_2_1 x1, [m]
+    in_metres: bool = True  # no: in distances of the cameras of a network, whose scale is not known
 
     @property
     def unposed(self) -> "Rig":
@@ -82,9 +83,10 @@ class Rig:
 class Cameras:
     """Any number of cameras and, where they are known, the transforms from each to the next."""
 
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # in the order of their recordings
     steps: tuple[Array | None, ...] = ()  # (4, 4) each, x_next = T x, [m]
     name: str = "the rig"  # for messages: a file's path
+    in_metres: bool = True  # as of `Rig`
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -96,7 +98,7 @@ class Cameras:
             if step is None:
                 return Rig(self.cameras[i], self.cameras[j])
             T = step @ T
-        return Rig(self.cameras[i], self.cameras[j], T)
+        return Rig(self.cameras[i], self.cameras[j], T, self.in_metres)
 
 
 def with_deviations(

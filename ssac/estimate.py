@@ -156,9 +156,9 @@ class ClockJump:
 
     at_s: float  # camera 1's clock
     size_s: float  # what camera 2's clock shows more from then on
-    size_std_s: float
-    before_s: float  # t_d
-    after_s: float
+    size_std_s: float  # standard deviation of size_s
+    before_s: float  # t_d until then
+    after_s: float  # t_d from then on
 
     def delayed(self, t_d_s: float) -> "ClockJump":
         """As if camera 2's clock had shown `t_d_s` [s] more."""
@@ -173,7 +173,7 @@ def _unknown() -> Array:
 class Estimate:
     """The result of any method; what a method does not estimate stays NaN or None."""
 
-    method: str
+    method: str  # its name
     status: str = Status.OK  # a Status; another package's method may give a word of its own
     reason: str = ""  # why there is no reliable estimate, as a sentence
     t_d_s: float = np.nan  # t_cam2 = t_cam1 + t_d, + skew (t_cam1 - t_ref) where there is one
@@ -186,7 +186,7 @@ class Estimate:
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
     t_ref_s: float = np.nan  # camera 1's clock; NaN where both clocks are taken to run alike
     skew_ppm: float = np.nan  # by which camera 2's clock runs fast
-    skew_std_ppm: float = np.nan
+    skew_std_ppm: float = np.nan  # standard deviation of the skew
     clock_covariance: Array | None = None  # (2, 2) of t_d [s] and the skew [s/s]
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) as of `ssac.clock.Clock`
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)

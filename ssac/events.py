@@ -111,7 +111,7 @@ def check_events(events: Events, width: int | None, height: int | None, name: st
             raise SsacError(f"{name}: {wrap_message(f'event {i}')}")
         raise SsacError(
             f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
-            f"{t[i - 1]} us: sort the file, or check that it is undamaged"
+            f"{t[i - 1]} us: copy or record it again if it is damaged, and sort it if it is not"
         )
     for field, size, most in zip("xy", (width, height), largest, strict=False):
         if size is not None and most >= size:

@@ -1,6 +1,7 @@
 """Exit codes: what went wrong in a command is one line on stderr, never a traceback.
 
-Imports the standard library alone, so that it can stand guard over the imports of everything else.
+A terminal shows it folded. Imports the standard library alone, so that it can stand guard over the
+imports of everything else.
 """
 
 import os
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ssac.errors import PluginError, SsacError
+from ssac.errors import PluginError, SsacError, columns, folded
 from ssac.files.whole_file import whole_file
 
 DONE = 0
@@ -55,17 +56,22 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
 
 def fail(message: str, code: int) -> int:
     """Say in one line on stderr what went wrong; give the code back."""
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    _say("error", message)
     return code
+
+
+def _say(kind: str, message: object) -> None:
+    """Say something in one line on stderr, which is folded where that is a terminal."""
+    line = f"{kind}: {' '.join(str(message).split())}"
+    width = columns(sys.stderr, sys.maxsize)
+    print("\n".join(folded(line, width, len(kind) + 2)), file=sys.stderr)
 
 
 @contextmanager
 def warnings_as_lines() -> Iterator[None]:
     """Show each warning as one line on stderr."""
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: print(
-            f"warning: {' '.join(str(message).split())}", file=sys.stderr
-        )
+        warnings.showwarning = lambda message, *_, **__: _say("warning", message)
         yield
 
 

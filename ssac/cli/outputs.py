@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssac.errors import SsacError
+from ssac.errors import SsacError, columns, folded
 from ssac.files.damage import Reading
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
 from ssac.files.rigs import RIG_SUFFIXES
@@ -23,6 +23,9 @@ from ssac.pipeline.report import save_json
 
 if TYPE_CHECKING:
     from ssac.pipeline.many import NetworkResult
+
+
+PAGE_SUFFIXES = (".html", ".htm")
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
     if rig is not None:
         check_written(rig, RIG_SUFFIXES)
+    if outputs.report is not None:
+        check_written(outputs.report, PAGE_SUFFIXES)
     files = [outputs.json_file, synced, outputs.trajectory, rig, outputs.report]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         files.append(plot)
@@ -66,16 +71,20 @@ def write_outputs(
     log: Log,
 ) -> None:
     """Write what was asked for and say so, figures and page last."""
+    clock = Stopwatch(log)
+
+    def tell(line: str) -> None:
+        log("\n".join(folded(line, columns(sys.stderr), len("wrote "))))
+
     if outputs.json_file is not None:
         save_json(outputs.json_file, result.to_dict())
-        log(f"wrote {outputs.json_file}")
+        tell(f"wrote {outputs.json_file}")
     if isinstance(result, Result):
-        _write_of_two(result, outputs, cam2, reading, known, log)
+        _write_of_two(result, outputs, cam2, reading, known, clock, tell)
     else:
         from ssac.pipeline.many import write_many
 
-        write_many(result, outputs.trajectory, outputs.write_rig, log)
-    clock = Stopwatch(log)
+        write_many(result, outputs.trajectory, outputs.write_rig, tell)
     if outputs.plot is not None:
         with clock.part("draw") as say:
             drawn = result.plotted(outputs.plot)
@@ -86,13 +95,19 @@ def write_outputs(
 
 
 def _write_of_two(
-    result: Result, outputs: Outputs, cam2: Path, reading: Reading, known: Known, log: Log
+    result: Result,
+    outputs: Outputs,
+    cam2: Path,
+    reading: Reading,
+    known: Known,
+    clock: Stopwatch,
+    tell: Log,
 ) -> None:
     estimate, synced = result.estimate, outputs.write_synced
     if synced is not None and not estimate.has_offset:
-        log(f"not written: {synced}, since there is no reliable offset")
+        tell(f"not written: {synced}, since there is no reliable offset")
     elif synced is not None:
-        with Stopwatch(log).part("write") as say:
+        with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
             if is_track_file(cam2):
                 track = load_track(cam2)
@@ -105,7 +120,7 @@ def _write_of_two(
     if outputs.trajectory is not None or outputs.write_rig is not None:
         from ssac.pipeline.many import write_two
 
-        write_two(result.answer, known, outputs.trajectory, outputs.write_rig, log)
+        write_two(result.answer, known, outputs.trajectory, outputs.write_rig, tell)
 
 
 def known_of(

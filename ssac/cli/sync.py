@@ -242,7 +242,8 @@ def sync_command(
 
 def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
     """Give each camera's file: a simulated folder stands for all of its, a bag for two topics."""
-    from ssac.files.ros_bags import bag_of, topic_of
+    from ssac.files.readable import check_is_file
+    from ssac.files.ros_bags import SeveralTopicsError, bag_of, topic_of
 
     if topics is not None:
         bags = 2 * given if len(given) == 1 else given
@@ -252,12 +253,22 @@ def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
                 " out, or name each topic behind its bag, as BAG/TOPIC"
             )
         return [bag / topic.strip("/") for bag, topic in zip(bags, topics, strict=True)]
+    try:
+        found = [topic_of(path) for path in given if bag_of(path) is not None]
+    except SeveralTopicsError as error:
+        if len(given) > 2 or len({*given}) > 1:  # --topics is no way to name one of these
+            raise
+        both = f"or both cameras' with --topics {' '.join(error.names[:2])}"
+        raise SsacError(f"{error}, {both}") from error
     if len(given) > 1:
         return given
     only = given[0]
-    if bag_of(only) is not None:
-        found = topic_of(only)  # of several it says which there are
-        raise SsacError(f"{only}: has one topic of events or points, {found.name}: give another")
+    if found:
+        raise SsacError(
+            f"{only}: one camera's topic, {found[0].name}: give the other camera's file too"
+        )
+    if not only.is_dir():
+        check_is_file(only)
     recorded = [*takewhile(Path.is_file, (only / f"cam{k}.h5" for k in count(1)))]
     if len(recorded) < 2:
         raise SsacError(

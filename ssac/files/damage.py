@@ -1,4 +1,4 @@
-"""What becomes of event files that are damaged, or out of order.
+"""What becomes of event files that are damaged, out of order, or perhaps in another unit.
 
 A file with signs of damage is refused, or read as far as it goes, with a warning, where that is
 asked for. Events that are out of order by microseconds, as some cameras' drivers write them, are
@@ -20,6 +20,11 @@ REPEATED = 32
 """So many equal words, or events, in a row are none of a sensor: a block was overwritten."""
 
 _LONGEST_GAP_US = 3600 * US_PER_S  # without an event in one file: no recording pauses for longer
+
+
+# Of what moves before it a camera gives thousands of events a second, and for minutes: times of
+# fewer, or of longer, are in another unit.
+_LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -127,3 +132,21 @@ def _longest(events: Events) -> Events:
     steps_us = np.diff(events["t"])
     breaks = np.flatnonzero((steps_us < 0) | (steps_us > _LONGEST_GAP_US))
     return max(np.split(events, breaks + 1), key=len)
+
+
+def noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
+    """Give a file back, and warn where its times look as if they were in another unit."""
+    n, span_s = len(file.events), float(np.ptp(file.events["t"])) / US_PER_S
+    said = ""
+    if span_s > LONGEST_S and n < _LEAST_HZ * span_s:
+        finer = {"seconds": "milliseconds", "microseconds": "nanoseconds"}[unit]
+        said = f"{finer}, divide it by 1000"
+    elif unit == "microseconds" and span_s < _SHORTEST_S and n > _LEAST_HZ:
+        said = "milliseconds, multiply it by 1000"
+    if said:
+        warnings.warn(
+            f"{path}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
+            f" {said}",
+            stacklevel=4,
+        )
+    return file

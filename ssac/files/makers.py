@@ -7,11 +7,12 @@ end mark: a truncated one is a shorter recording.
 What is damaged in the middle faery passes over, or is taken down by it, so this is looked at
 before. What a sensor writes has none of these:
 
-EVT2, EVT3  words of unknown type, or that continue nothing; a clock that runs back, or leaps where
-            it is written all the time; one and the same word again and again
-DAT         a polarity that is none, a clock that runs back, one and the same event again and again
-AEDAT 4     a size that is nonsense, for which faery takes as much memory and ends the process when
-            there is none; a packet of a stream that is none
+    EVT2, EVT3  words of unknown type, or that continue nothing; a clock that runs back, or leaps
+                where it is written all the time; one and the same word again and again
+    DAT         a polarity that is none, a clock that runs back, one and the same event again and
+                again
+    AEDAT 4     a size that is nonsense, for which faery takes as much memory and ends the process
+                when there is none; a packet of a stream that is none
 """
 
 import re

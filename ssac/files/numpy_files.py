@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ssac.arrays import Events
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays, events_of_array
-from ssac.files.damage import STRICT, Reading, checked_file
+from ssac.files.damage import STRICT, Reading, checked_file, noting_unit
 from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
@@ -34,7 +34,8 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
         side_px(arrays[name], f"{name} must be a number of", path) if name in arrays else None
         for name in ("width", "height")
     )
-    return checked_file(_events(arrays, path), (width, height), path, reading)
+    file = checked_file(_events(arrays, path), (width, height), path, reading)
+    return noting_unit(file, path, "microseconds")
 
 
 def save_events_numpy(

@@ -4,7 +4,7 @@ import re
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,14 +12,26 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
-from ssac.camera import Camera, Cameras, Rig, check_camera, check_transform
+from ssac.camera import Camera, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
 from ssac.files.whole_file import whole_file
 
 RIG_SUFFIXES = (".yaml", ".yml")
 
+LENGTH_UNITS = ("m", "first_baseline")
+"""Of a camera's key `length_unit`: metres, or distances of the first two cameras placed."""
+
 _CAMERA = re.compile(r"cam\d+")
+
+
+class Step(NamedTuple):
+    """Where a camera stands as one before it sees it, and what its clock shows more."""
+
+    back: int  # it is so many cameras before; Kalibr knows 1 alone
+    T: Array  # (4, 4) x_n = T x_(n - back)
+    shift_s: float  # t_n = t_(n - back) + it
+    in_metres: bool  # no: in distances of the first two cameras placed
 
 
 def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
@@ -29,7 +41,8 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     ----------
     path
         A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
-        of a camera is its pose from the one before), or what OpenCV's FileStorage writes after a
+        of a camera is its pose from the one before, `T_cn_cnm2` from that before it, where one in
+        between has none), or what OpenCV's FileStorage writes after a
         stereo calibration: K1, D1, K2, D2, the image's `size`, and R and T where known; radtan
         unless the key `distortion_model` says `equidistant`.
     cameras
@@ -38,9 +51,10 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     Returns
     -------
     Rig
-        Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres). Their
-        deviations are those of a camera's key `intrinsics_std` (fu, fv, pu, pv [px], 0 for exact
-        ones), and of a good calibration where there is none (`ssac.camera.Camera`).
+        Cameras with valid intrinsics; T_2_1 in metres, unless a camera's key `length_unit` is
+        `first_baseline`. Their deviations are those of a camera's key `intrinsics_std` (fu, fv, pu,
+        pv [px], 0 for exact ones), and of a good calibration where there is none
+        (`ssac.camera.Camera`).
     """
     path = Path(path)
     if path.suffix.lower() not in RIG_SUFFIXES:
@@ -58,14 +72,15 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         return _rig_from_kalibr(path, yaml.safe_load(text), cameras)
 
 
-def save_rig(path: Path, rig: Cameras, shifts_s: Sequence[float], comment: str) -> None:
+def save_rig(
+    path: Path, cameras: Sequence[Camera], steps: Sequence[Step | None], comment: str
+) -> None:
     """Write a Kalibr camchain that `load_rig` reads, with comments that publish each step in ROS.
 
-    `timeshift_cn_cnm1` of a camera is what its clock shows more than that of the camera before [s],
-    of `shifts_s`, NaN where that is not known.
+    `steps` lead to each camera, None where nothing is known, as of the first.
     """
     chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
-    for k, camera in enumerate(rig.cameras):
+    for k, (camera, step) in enumerate(zip(cameras, steps, strict=True)):
         has_k3 = camera.distortion_model == "radtan" and len(camera.distortion_coeffs) == 5
         entry = chain[f"cam{k}"] = {
             "camera_model": "pinhole",
@@ -78,16 +93,16 @@ def save_rig(path: Path, rig: Cameras, shifts_s: Sequence[float], comment: str) 
             entry["intrinsics_std"] = list(camera.intrinsics_std_px)
         if camera.readout_s is not None:
             entry["readout_s"] = camera.readout_s
-        T = rig.steps[k - 1] if k else None
-        if T is not None:
-            entry["T_cn_cnm1"] = T.tolist()
+        if step is not None:
+            back, T, shift_s, in_metres = step
+            entry[f"T_cn_cnm{back}"] = T.tolist()
+            entry["length_unit"] = LENGTH_UNITS[not in_metres]
+            entry[f"timeshift_cn_cnm{back}"] = float(shift_s)
             values = *(-T[:3, :3].T @ T[:3, 3]), *Rotation.from_matrix(T[:3, :3].T).as_quat()
             names = ("x", "y", "z", "qx", "qy", "qz", "qw")
             place = " ".join(f"--{name} {v:.9g}" for name, v in zip(names, values, strict=True))
-            frames = f"--frame-id cam{k - 1} --child-frame-id cam{k}"
+            frames = f"--frame-id cam{k - back} --child-frame-id cam{k}"
             lines.append(f"# ros2 run tf2_ros static_transform_publisher {place} {frames}")
-        if k and np.isfinite(shifts_s[k - 1]):
-            entry["timeshift_cn_cnm1"] = float(shifts_s[k - 1])
     text = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
     with whole_file(path) as temporary:
         temporary.write_text("\n".join([*lines, text]), encoding="utf-8")
@@ -127,16 +142,27 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
                 "add it, or give the number of another camera"
             )
     cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in wanted)
-    steps = [f"cam{k}" for k in range(*sorted(cameras))]
-    if not steps or not all("T_cn_cnm1" in document.get(key, {}) for key in steps):
+    first, k = sorted(number - 1 for number in cameras)
+    steps, units = list[Array](), list[str]()
+    while k > first:  # back from the last
+        name, entry = f"{path}, cam{k}", document.get(f"cam{k}", {})
+        back = next((n for n in range(1, k - first + 1) if f"T_cn_cnm{n}" in entry), None)
+        if back is None:
+            return Rig(cam1, cam2)
+        steps.append(_numbers(entry[f"T_cn_cnm{back}"], (4, 4), f"{name}, T_cn_cnm{back}"))
+        check_transform(steps[-1], f"{name}, T_cn_cnm{back}")
+        units.append(entry.get("length_unit", "m"))
+        if units[-1] not in LENGTH_UNITS:
+            expected = f"expected {' or '.join(LENGTH_UNITS)}, got {_shown(units[-1])}"
+            raise SsacError(f"{name}, length_unit: {expected}: correct it")
+        k -= back
+    if not steps:
         return Rig(cam1, cam2)
     T = np.eye(4)
-    for key in steps:
-        name = f"{path}, {key}, T_cn_cnm1"
-        step = _numbers(document[key]["T_cn_cnm1"], (4, 4), name)
-        check_transform(step, name)
+    for step in reversed(steps):
         T = step @ T
-    return Rig(cam1, cam2, T if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T)))
+    T = T if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T))
+    return Rig(cam1, cam2, T, set(units) == {"m"})
 
 
 def _camera_from_kalibr(name: str, entry: Any) -> Camera:

@@ -9,6 +9,7 @@ The library's own decoding would make an object of each event, some 40 times as 
 code that it makes from definitions in the bag.
 """
 
+import re
 import struct
 import warnings
 from collections.abc import Callable
@@ -35,10 +36,22 @@ _POINTS = "geometry_msgs/msg/PointStamped"
 _KINDS = (*_ARRAYS, _PACKETS, _POINTS)
 
 _METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
+_COMPRESSED = ".zstd"  # behind the suffix of a file of a ROS 2 bag
 _READABLE = "a readable ROS bag"
 _EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # a word, and its bits behind the four of its kind
 _TIME_HIGH = 0x8
 _EVENT_BYTES = 13  # of ROS 1; ROS 2 aligns numbers, so that events begin 16 apart
+
+
+class SeveralTopicsError(SsacError):
+    """Of a bag with several topics, none was named."""
+
+    def __init__(self, bag: Path, names: list[str]) -> None:
+        super().__init__(
+            f"{bag}: events or points are on {len(names)} topics, {', '.join(names)}: name one "
+            f"behind the bag, as {bag}{names[0]}"
+        )
+        self.names = names
 
 
 @dataclass(frozen=True)
@@ -59,7 +72,8 @@ class Topic:
 def bag_of(path: Path) -> tuple[Path, str] | None:
     """Split a path into a bag that exists and the topic in it, "" for none; None: of no bag."""
     for bag in (path,) if path.exists() else path.parents:
-        if (bag.suffix.lower() in BAG_SUFFIXES and bag.is_file()) or (bag / _METADATA).is_file():
+        is_named = bag.name.lower().removesuffix(_COMPRESSED).endswith(BAG_SUFFIXES)
+        if (is_named and bag.is_file()) or (bag / _METADATA).is_file():
             return bag, "/".join(path.relative_to(bag).parts)
     return None
 
@@ -86,12 +100,12 @@ def topic_of(path: Path) -> Topic:
         return Topic(path, bag, usable[0], kinds[usable[0]])
     there = ", ".join(f"{name} ({kinds[name]})" for name in sorted(kinds)[:10]) or "none"
     if len(usable) > 1:
-        names = sorted(usable)
-        raise SsacError(
-            f"{bag}: events or points are on {len(names)} topics, {', '.join(names)}: name each "
-            f"camera's with --topics {' '.join(names[:2])}, or behind the bag, {bag}{names[0]}"
-        )
-    what = "a topic of events or points" if not wanted else f"these on the topic /{wanted}"
+        raise SeveralTopicsError(bag, sorted(usable))
+    what = "a topic of events or points"
+    if wanted and not usable:
+        raise SsacError(f"{bag}: there is no topic /{wanted}, only {there}: name one of these")
+    if wanted:
+        what = f"these on the topic /{wanted}"
     raise SsacError(f"{bag}: expected {what} ({', '.join(_KINDS)}), got the topics {there}")
 
 
@@ -158,9 +172,21 @@ def _reader(bag: Path) -> Any:
         from rosbags import rosbag1, rosbag2
     except ImportError as error:
         raise SsacError(
-            f"{bag}: ROS bags need the package rosbags, which is not installed: pip install rosbags"
+            f"{bag}: ROS bags need the package rosbags, which is not installed: pip install "
+            '"ssac-suite[ros]"'
         ) from error
-    return rosbag1.Reader(bag) if _is_ros1(bag) else rosbag2.Reader(bag)
+    if _is_ros1(bag):
+        return rosbag1.Reader(bag)
+    if bag.is_file() and (bag.suffix == _COMPRESSED or _has_compressed_messages(bag)):
+        raise SsacError(f"{bag}: is compressed: give its folder with {_METADATA}, or decompress it")
+    return rosbag2.Reader(bag)
+
+
+def _has_compressed_messages(bag: Path) -> bool:
+    """Whether the folder of a ROS 2 bag's file says so: no reader sees it in the file alone."""
+    about = bag.with_name(_METADATA)
+    text = about.read_text(encoding="utf-8", errors="replace") if about.is_file() else ""
+    return re.search(r"compression_mode: *\W?message", text, re.IGNORECASE) is not None
 
 
 def _is_ros1(bag: Path) -> bool:

@@ -7,7 +7,6 @@ a darker event is 0 or -1.
 """
 
 import csv
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +14,11 @@ import numpy as np
 from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
-from ssac.files.damage import STRICT, Reading, checked_file
+from ssac.files.damage import LONGEST_S, STRICT, Reading, checked_file, noting_unit
 from ssac.files.readable import brief, check_text, readable, side_px
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
-
-# Of what moves before it a camera gives thousands of events a second, and for minutes: times of
-# fewer, or of longer, are in another unit.
-_LEAST_HZ, _LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
 
 LINES_PER_BLOCK = 1_000_000  # so that reading needs little more memory than the events
 
@@ -41,7 +36,7 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
         )
     events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
     file = checked_file(events, (width, height), path, reading, is_text=True)
-    return _noting_unit(file, path, "seconds")
+    return noting_unit(file, path, "seconds")
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
@@ -61,7 +56,7 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
     size_px = sizes.get("x"), sizes.get("y")
     file = checked_file(events, size_px, path, reading, is_text=True)
-    return _noting_unit(file, path, "microseconds")
+    return noting_unit(file, path, "microseconds")
 
 
 def save_events_text(
@@ -134,27 +129,9 @@ def _microseconds_from_seconds(t_s: Array, path: Path) -> IntArray:
             "file again"
         )
     span_s = t_s[-1] - t_s[0] if len(t_s) > 1 else 0.0
-    if span_s > _LONGEST_S and np.array_equal(t_s, np.rint(t_s)):
+    if span_s > LONGEST_S and np.array_equal(t_s, np.rint(t_s)):
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
             "as of milliseconds or finer: convert them"
         )
     return np.rint(t_s * US_PER_S).astype(np.int64)
-
-
-def _noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
-    """Give a file back, and warn where its times look as if they were in another unit."""
-    n, span_s = len(file.events), float(np.ptp(file.events["t"])) / US_PER_S
-    said = ""
-    if span_s > _LONGEST_S and n < _LEAST_HZ * span_s:
-        finer = {"seconds": "milliseconds", "microseconds": "nanoseconds"}[unit]
-        said = f"{finer}, divide it by 1000"
-    elif unit == "microseconds" and span_s < _SHORTEST_S and n > _LEAST_HZ:
-        said = "milliseconds, multiply it by 1000"
-    if said:
-        warnings.warn(
-            f"{path}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
-            f" {said}",
-            stacklevel=4,
-        )
-    return file

@@ -96,6 +96,25 @@ def pose_step(R: Array, t: Array, R_to: Array, t_to: Array) -> Array:
     return np.append(turn, angle * direction)
 
 
+def centre_covariance(R: Array, t: Array, covariance: Array) -> Array:
+    """Give the covariance (3, 3) of the centre -R' t by that of a small change of the pose.
+
+    The change is (5, 5), or of all three coordinates of t: (6, 6).
+    """
+    along = tangent_basis(t).T if len(covariance) == 5 else np.eye(3)
+    by_pose = -R.T @ np.hstack([epipolar.cross_matrix(t), along])
+    return np.asarray(by_pose @ covariance @ by_pose.T)
+
+
+def vector_by_turn(R: Array) -> Array:
+    """Give how R's rotation vector changes (3, 3) by a small turn w of exp([w]x) R."""
+    vector = Rotation.from_matrix(R).as_rotvec()
+    angle, across = float(np.linalg.norm(vector)), epipolar.cross_matrix(vector)
+    small = angle < 1e-4  # where the ratio rounds, and is 1/12
+    ratio = 1.0 / 12.0 if small else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    return np.asarray(np.eye(3) - 0.5 * across + ratio * across @ across)
+
+
 def tangent_basis(t: Array) -> Array:
     """Two unit vectors (2, 3), orthogonal to each other and to the unit vector t (3,)."""
 

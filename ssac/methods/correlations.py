@@ -20,7 +20,7 @@ from ssac.track.observation import Observation
 class Signal:
     """One number per time bin; bin b covers the times from b to b + 1 bin lengths."""
 
-    first_bin: int
+    first_bin: int  # number b of the first value's bin
     values: Array  # (n,)
 
 

@@ -47,9 +47,9 @@ class Input(Enum):
 class Method:
     """One way to find the offset, and perhaps the pose."""
 
-    name: str
+    name: str  # as `--method` takes it
     estimate: "Callable[..., Estimate] | None"  # another package's; None: ours, which `runs` names
-    input: Input
+    input: Input  # what it looks at
     summary: str  # for lists and error messages
     needs_extrinsics: bool = False  # the rig must have T_2_1, which no other method is shown
     known_variant: str = ""  # name of the method to take in its place when the extrinsics are known

@@ -93,9 +93,13 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
     for camera in answer.cameras:
         R, t, t_std = camera.R, camera.t, camera.t_std
         if camera.group == 1 and R is not None and t is not None and t_std is not None:
+            covariance = np.asarray(camera.centre_covariance)
+            covariance = frame.scale**2 * frame.R @ covariance @ frame.R.T
             R = R @ frame.R.T  # x_k = R X + t in metres, X in the known frame
             t = frame.scale * t - R @ frame.t
-            camera = replace(camera, R=R, t=t, t_std=frame.scale * t_std)
+            camera = replace(
+                camera, R=R, t=t, t_std=frame.scale * t_std, centre_covariance=covariance
+            )
         cameras.append(camera)
     paths = [path_of(answer.built[0], frame), *answer.paths[1:]]
     return replace(answer, cameras=cameras, paths=paths)

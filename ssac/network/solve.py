@@ -10,6 +10,7 @@ from ssac.arrays import Array, Mask
 from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
+from ssac.geometry.pose import centre_covariance
 from ssac.network import state as layout
 from ssac.network.adjustment import Network, border_offsets, fit_of
 from ssac.network.align import Similarity
@@ -42,6 +43,7 @@ class CameraAnswer:
     t: Array | None = None  # (3,)
     r_std_deg: float = np.nan
     t_std: Array | None = None  # (3,) in the unit of t
+    centre_covariance: Array | None = None  # (3, 3) of where it stands
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) first camera's clock
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     n_samples: int = 0
@@ -76,6 +78,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     by[layout.DELAY], by[layout.RATE] = 1.0, own_s - state.middle_s
     by /= 1.0 - state.rate
     deviations = np.sqrt(np.diag(covariance))
+    pose = slice(layout.ROTATION.start, layout.TRANSLATION.stop)
     return CameraAnswer(
         seen.name,
         group=group,
@@ -90,6 +93,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         t=state.t,
         r_std_deg=float(np.rad2deg(np.sqrt(np.sum(np.diag(covariance)[layout.ROTATION])))),
         t_std=deviations[layout.TRANSLATION],
+        centre_covariance=centre_covariance(state.R, state.t, covariance[pose, pose]),
         knots_s=state.network_from_own(state.knots_s),
         strays_s=state.strays_s,
         n_samples=int(np.count_nonzero(fit.used)),
@@ -141,7 +145,7 @@ class NetworkAnswer:
     """What is found of many cameras."""
 
     cameras: list[CameraAnswer]  # in input order
-    closures_s: dict[Triple, float]
+    closures_s: dict[Triple, float]  # of reliable pairs
     wrong_pairs: dict[Pair, float]  # by how much [s] their clocks contradict the network
     built: list[Built]  # a network for each group
     paths: list[PathAnswer]  # theirs
@@ -163,7 +167,7 @@ class NetworkAnswer:
         if len(self.built) > 1:
             names = [" ".join(seen.name for seen in one.network.cameras) for one in self.built]
             said.append(f"no pair connects {' with '.join(names)}: a solution for each")
-        said += [f"{c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
+        said += [f"camera {c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
         return "; ".join(said)
 
 
@@ -230,7 +234,7 @@ def solve_network(
                 answers[k] = answer_of(built, place, len(built_all))
     return NetworkAnswer(
         answers,
-        closures_s({pair: link.clock for pair, link in links.items()}),
+        closures_s({pair: link.clock for pair, link in links.items() if link.is_reliable}),
         _contradicted(built_all, links, rules.network.max_closure_s),
         built_all,
         [path_of(built) for built in built_all],

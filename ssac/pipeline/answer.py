@@ -1,6 +1,6 @@
 """What the pipeline says of two cameras: an estimate, how it came about, and what to know of it."""
 
-import textwrap
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,6 +11,7 @@ import numpy as np
 
 from ssac.camera import Camera, Rig
 from ssac.config import Config
+from ssac.errors import columns, folded
 from ssac.estimate import Estimate, Refusal
 from ssac.methods.method import Method
 from ssac.search.all_offsets import Guess
@@ -31,12 +32,12 @@ def quiet(line: str) -> None:
 class Answer:
     """An estimate, what it was made from, and how long it took."""
 
-    estimate: Estimate
-    method: Method
+    estimate: Estimate  # offset and pose, or why there are none
+    method: Method  # that gave it
     cleans: tuple[Clean, Clean]  # both cameras as the method saw them
     rig: Rig  # as it was given, with the extrinsics where they are known
     config: Config  # with nothing left open; its interval is the one searched
-    rig_name: str = "the rig"
+    rig_name: str = "the rig"  # for messages: a file's path
     start: Start | None = None  # of a search over all offsets, if there was one
     clock: str = ""  # of which kind camera 2's is, where the kind asked for did not fit
     misfit: str = ""  # what of the rig seems wrong, where its deviations were taken for larger ones
@@ -125,8 +126,8 @@ class Answer:
         ):
             said.append(
                 "the rig states no readout_s, so shutters are taken for global ones; rolling ones"
-                " shift the offset by up to their readout, beyond its deviation: see"
-                " --estimate-readout"
+                " shift the offset by up to their readout, beyond its deviation: state it in the"
+                " rig, or, of two cameras, estimate it with --estimate-readout"
             )
         return tuple(said)
 
@@ -158,16 +159,6 @@ class Answer:
         return replace(self, estimate=replace(self.estimate, reason=reason))
 
 
-COLUMNS = 100
-"""Of a screen: every line fits that has no longer word, such as a path."""
-
-
-def folded(text: str, columns: int) -> list[str]:
-    """Break a text into lines of so many columns, between words; at least one line."""
-    lines = textwrap.wrap(text, columns, break_long_words=False, break_on_hyphens=False)
-    return lines or [""]
-
-
 class Stopwatch:
     """Measures the parts of a run and logs a line for each that has something to say."""
 
@@ -185,7 +176,8 @@ class Stopwatch:
         self.seconds[name] = self.seconds.get(name, 0.0) + took_s
         if lines:
             head = f"{name:9}{took_s:6.2f} s  "
-            parts = [part for line in lines for part in folded(line, COLUMNS - len(head))]
+            width = columns(sys.stderr) - len(head)
+            parts = [part for line in lines for part in folded(line, width)]
             self.log(head + ("\n" + " " * len(head)).join(parts))
 
 

@@ -21,7 +21,7 @@ from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput
 from ssac.pipeline.registry import EstimateFunction, choose_method
-from ssac.pipeline.report import html_of, report_json, report_text
+from ssac.pipeline.report import html_of, report_json, report_rows, report_text
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
@@ -39,7 +39,7 @@ class Result:
     `result.answer` has what it was made from.
     """
 
-    answer: Answer
+    answer: Answer  # the estimate and what it was made from
 
     @property
     def estimate(self) -> Estimate:
@@ -83,7 +83,9 @@ class Result:
         """
         from ssac.pipeline.html_report import save_report
 
-        return save_report(Path(path), {(0, 1): self.answer}, None, self.summary(), command)
+        return save_report(
+            Path(path), {(0, 1): self.answer}, None, report_rows(self.answer), command
+        )
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "answer":
@@ -101,7 +103,7 @@ class Result:
         return f"<ssac.Result {one.method} {one.status}{offset}>"
 
     def _repr_html_(self) -> str:
-        return html_of(self.summary())
+        return html_of(report_rows(self.answer))
 
 
 @overload

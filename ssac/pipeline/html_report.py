@@ -14,18 +14,23 @@ from typing import Any
 
 import numpy as np
 from jinja2 import BaseLoader, ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.estimate import Estimate, Status
 from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
+from ssac.geometry.pose import centre_covariance, vector_by_turn
 from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
-from ssac.pipeline.report import rows_of
+from ssac.pipeline.report import Rows, counts_of, how_it_runs, of_length, vector
 from ssac.pipeline.streams import Seen, as_recorded, scene_of_network, scene_of_two, streams
+from ssac.track.motion import ObjectMotion
 
 Answers = Mapping[Pair, Answer]
+Card = tuple[str, str, str]  # a name, a value, and how sure it is
 
 _PACKAGES = "ssac-suite", "numpy", "scipy", "numba", "opencv-python-headless"
 _MOST_DOTS = 1000  # in a chart of a pair's; fewer where there are many pairs
@@ -33,34 +38,45 @@ _NUMBERS = {"fu": (0, 0), "fv": (1, 1), "pu": (0, 2), "pv": (1, 2)}
 
 
 def save_report(
-    path: Path, answers: Answers, network: NetworkAnswer | None, summary: str, command: str = ""
+    path: Path,
+    answers: Answers,
+    network: NetworkAnswer | None,
+    summary: Rows,
+    command: str = "",
+    unit: str = "",
 ) -> Path:
     """Write `report_page`; give its path."""
-    page = report_page(answers, network, summary, command)
+    page = report_page(answers, network, summary, command, unit)
     with whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
 
 
 def report_page(
-    answers: Answers, network: NetworkAnswer | None, summary: str, command: str = ""
+    answers: Answers,
+    network: NetworkAnswer | None,
+    summary: Rows,
+    command: str = "",
+    unit: str = "",
 ) -> str:
-    """Lay out the page on two cameras, or on all pairs of more and their network.
+    """Lay out the page on two cameras, or on all pairs of more and their network, in its unit.
 
     The summary is what is printed, and the command what was called; empty: from Python. The same
     input gives the same bytes.
     """
     cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
+    models = [answers[0, 1].rig.cam1, *(answers[0, k].rig.cam2 for k in range(1, len(cameras)))]
     return (
         environment()
         .get_template("report.html")
         .render(
             title=_title(answers, network),
             status=_status(answers, network),
-            cards=_cards(answers[0, 1]) if network is None else [],
+            cards=_cards(answers[0, 1]) if network is None else _cards_of_many(network, unit),
             player=player_of(answers, cameras, network),
             network=network,
+            unit=unit,
             graph=None if network is None else _graph(answers, network),
             pairs=[
                 {
@@ -74,12 +90,13 @@ def report_page(
                 for (a, b), answer in answers.items()
             ],
             samples=sample_charts(cameras, max(300, 2 * _MOST_DOTS // len(cameras))),
-            cameras=cameras,
+            cameras=list(zip(cameras, models, strict=True)),
+            of_events=any(isinstance(seen.motion, ObjectMotion) for seen in cameras),
             rig=answers[0, 1].rig_name,
             command=command,
             versions={"Python": platform.python_version(), **{n: _version(n) for n in _PACKAGES}},
             seconds=answers[0, 1].seconds,
-            summary=rows_of(summary),
+            summary=summary,
         )
     )
 
@@ -116,7 +133,9 @@ def player_of(
 ) -> dict[str, Any]:
     """Lay out what the player and the scene draw; with a tour the player starts by itself."""
     scene = scene_of_two(answers[0, 1]) if network is None else scene_of_network(network)
-    return {"tour": tour, "scene": scene, **streams(answers, cameras)}
+    drawn = streams(answers, cameras)
+    holds = [pair["holds"] for pair in drawn["pairs"]]
+    return {"tour": tour, "scene": scene, "first": int(np.argmax(holds)), **drawn}
 
 
 def seen_by(answers: Answers, network: NetworkAnswer | None = None) -> list[Seen]:
@@ -153,16 +172,23 @@ def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
     """Say how it went: a word, a kind for the eye, why, and what to do."""
     estimate, notes = answers[0, 1].estimate, answers[0, 1].notes
     status, reason, has_some = estimate.status, estimate.reason, estimate.has_offset
+    ours = {str(one): one for one in Status}.get(status)  # another's method may have its own word
+    meaning, remedy = (ours.meaning, ours.remedy) if ours else ("", "")
     if network is not None:
         status, reason, has_some = network.status, network.reason, bool(network.built)
-        notes = ()
-    ours = {str(one): one for one in Status}.get(status)  # another's method may have its own word
+        meaning, remedy, notes = Status.OK.meaning, "", ()
+        if status != Status.OK:
+            meaning = "not all cameras are on one clock and in one frame"
+            remedy = (
+                "see below why pairs were refused; check that all files are of one flight, and the"
+                " rig of these cameras, in this order"
+            )
     return {
         "kind": _kind(status, has_some),
         "word": str(status),
-        "meaning": ours.meaning if ours else "",
+        "meaning": meaning,
         "reason": reason,
-        "remedy": ours.remedy if ours else "",
+        "remedy": remedy,
         "notes": notes,
     }
 
@@ -171,38 +197,78 @@ def _kind(status: str, has_some: bool) -> str:
     return "ok" if status == Status.OK else "open" if has_some else "refused"
 
 
-def _cards(answer: Answer) -> list[tuple[str, str, str]]:
+def _cards(answer: Answer) -> list[Card]:
     """Give what was found in large print: a name, a value, and how sure it is."""
     estimate, R, t = answer.estimate, answer.estimate.R, answer.estimate.t
     if not estimate.has_offset:
         if not np.isfinite(estimate.t_d_s):
             return []
         return [("Best offset", _time(estimate.t_d_s), "not reliable: do not use it")]
-    in_ms = abs(estimate.t_d_s) < 1.0
-    scale, unit, digits = (1e3, "ms", 3) if in_ms else (1.0, "s", 5)
-    sure = _interval(scale * estimate.t_d_s, scale * estimate.t_d_std_s, unit, digits)
-    cards = [("Time offset", _time(estimate.t_d_s), sure)]
-    if np.isfinite(estimate.skew_ppm) and estimate.skew_std_ppm != 0.0:
-        runs = f"camera 2's clock runs {'fast' if estimate.skew_ppm >= 0.0 else 'slow'}"
+    at = estimate.t_d_s, estimate.t_d_std_s, estimate.t_ref_s
+    cards, runs = [_offset_card("Time offset", *at)], how_it_runs(estimate)
+    if runs:
         sure = _interval(estimate.skew_ppm, estimate.skew_std_ppm, "ppm", 1)
         told = "; ".join(one for one in (runs, sure, answer.of_skew) if one)
         cards.append(("Clock skew", f"{estimate.skew_ppm:+.1f} ppm", told))
     if R is not None and t is not None:
-        said = [
-            f"1 sigma {std_deg:.3f}°" if np.isfinite(std_deg) else "of unknown accuracy"
-            for std_deg in (estimate.r_std_deg, estimate.t_std_deg)
-        ]
-        if answer.method.needs_extrinsics:
-            said = 2 * ["given by the rig file"]
-        apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
-        towards = ", ".join(f"{value:.2f}" for value in np.round(-R.T @ t, 2) + 0.0)
-        cards.append(("Lines of sight", f"{apart_deg:.2f}° apart", f"rotation: {said[0]}"))
-        where = f"right, down, forward of camera 1; direction: {said[1]}, length unknown"
-        cards.append(("Camera 2 lies towards", f"({towards})", where))
+        cards += _pose_cards(answer, R, t)
     if np.isfinite(estimate.d_avg_px):
-        of = f"of {estimate.n_samples} {answer.method.counts} from their epipolar lines"
+        of = f"of {estimate.n_samples} {counts_of(answer)} from their epipolar lines"
         cards.append(("Mean distance", f"{estimate.d_avg_px:.2f} px", of))
     return cards
+
+
+def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
+    estimate, (lies, unit, length) = answer.estimate, of_length(answer.distance_m)
+    turned_deg = Rotation.from_matrix(R).as_rotvec(degrees=True)
+    turn, direction = f"rotation vector {vector(turned_deg, 2)}\N{DEGREE SIGN}", length
+    if answer.method.needs_extrinsics:
+        turn, direction = f"{turn}, given by the rig file", "given by the rig file"
+    elif estimate.covariance is None:
+        turn, direction = f"{turn}, of unknown accuracy", f"{length} and accuracy"
+    else:
+        by_turn = vector_by_turn(R)
+        turn_stds = np.sqrt(np.diag(by_turn @ estimate.covariance[1:4, 1:4] @ by_turn.T))
+        where = centre_covariance(R, t, estimate.covariance[1:, 1:])
+        stds = (answer.distance_m or 1.0) * np.sqrt(np.diag(where))
+        turn += f", {_around(np.degrees(turn_stds), 2)}\N{DEGREE SIGN}"
+        turn += f"; 1 sigma {estimate.r_std_deg:.3f}\N{DEGREE SIGN}"
+        direction = f"{_around(stds, 3)}{unit}; 1 sigma {estimate.t_std_deg:.3f}\N{DEGREE SIGN}"
+        direction += f", {length}"
+    apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
+    place = f"{vector(-(answer.distance_m or 1.0) * R.T @ t, 3)}{unit}"
+    return [
+        ("Lines of sight", f"{apart_deg:.2f}\N{DEGREE SIGN} apart", turn),
+        (f"Camera 2 {lies}", place, f"right, down, forward of camera 1; {direction}"),
+    ]
+
+
+def _cards_of_many(network: NetworkAnswer, unit: str) -> list[Card]:
+    """Give the offset and the place of each camera but the first of its group."""
+    cards = list[Card]()
+    for k, one in enumerate(network.cameras):
+        if one.centre is None or one.centre_covariance is None or not one.t_d_std_s > 0.0:
+            continue
+        first = network.built[one.group - 1].members[0] + 1
+        offset = f"Camera {k + 1}'s clock", one.t_d_s, one.t_d_std_s, one.t_ref_s, first
+        name, value, sure = _offset_card(*offset)
+        stds = np.sqrt(np.diag(one.centre_covariance))
+        stands = f"{vector(one.centre, 3)}, {_around(stds, 3)}, in {unit}"
+        cards.append((name, value, f"{sure}. It stands at {stands}"))
+    return cards
+
+
+def _offset_card(name: str, t_d_s: float, std_s: float, t_ref_s: float, first: int = 1) -> Card:
+    scale, unit, digits = (1e3, "ms", 3) if abs(t_d_s) < 1.0 else (1.0, "s", 5)
+    sure = _interval(scale * t_d_s, scale * std_s, unit, digits)
+    if np.isfinite(t_ref_s):
+        sure += f"; at {t_ref_s:.3f} s of camera {first}'s clock"
+    return name, _time(t_d_s), sure
+
+
+def _around(stds: Array, digits: int) -> str:
+    """Write half of the 95 % intervals of some numbers."""
+    return f"95 % within \N{PLUS-MINUS SIGN}{vector(NORMAL_95 * stds, digits)}"
 
 
 def _interval(value: float, std: float, unit: str, digits: int) -> str:
@@ -264,7 +330,11 @@ def _graph(answers: Answers, network: NetworkAnswer) -> dict[str, Any]:
         }
         for pair, answer in answers.items()
     ]
-    closures = {tuple(k + 1 for k in one): off_s for one, off_s in network.closures_s.items()}
+    closures = list[tuple[str, float, float]]()
+    for (a, b, c), off_s in network.closures_s.items():
+        stds_s = [answers[pair].estimate.t_d_std_s for pair in ((a, b), (b, c), (a, c))]
+        std_ms = 1e3 * float(np.linalg.norm(stds_s))
+        closures.append((f"{a + 1}, {b + 1}, {c + 1}", 1e3 * off_s, std_ms))
     return {"places": places.tolist(), "edges": edges, "closures": closures}
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
-from ssac.camera import Cameras
+from ssac.camera import Camera
 from ssac.clock import Clock
 from ssac.errors import SsacError
-from ssac.estimate import Status
-from ssac.files.rigs import save_rig
+from ssac.estimate import Estimate, Status
+from ssac.files.rigs import Step, save_rig
 from ssac.files.whole_file import FIGURE_SUFFIXES
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
@@ -25,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import html_of, plain, text_of
+from ssac.pipeline.report import Rows, html_of, plain, text_of
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -37,12 +37,12 @@ class NetworkResult:
     """What is found of many cameras, what it was made from, and how long it took."""
 
     names: tuple[str, ...]  # of the recordings, in the order of the rig's cameras
-    rig_name: str
-    network: NetworkAnswer
-    pairs: dict[Pair, Answer]
-    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras
+    rig_name: str  # for messages: a file's path
+    network: NetworkAnswer  # clocks and poses of all cameras, and the object's path
+    pairs: dict[Pair, Answer]  # of two cameras each, by their numbers from 0 on
+    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras placed
     ground: Ground | None  # the frame of cameras and path; None: the first camera's
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # by part, in the order they ran
 
     @property
     def status(self) -> Status:
@@ -61,6 +61,10 @@ class NetworkResult:
 
     def summary(self) -> str:
         """Lay it out for people: what `ssac sync` prints."""
+        return text_of(self.rows())
+
+    def rows(self) -> Rows:
+        """Lay it out for people, in rows that nothing has folded."""
         answer, rows = self.network, list[tuple[str, str]]()
         if answer.reason:
             rows.append(("incomplete", answer.reason))
@@ -83,7 +87,7 @@ class NetworkResult:
             rows.append((f"path {k}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
             for start_s, end_s in found.spans_s:
                 rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))
-        return text_of(rows)
+        return rows
 
     def to_dict(self) -> dict[str, Any]:
         """Lay it out for machines, None for what is missing: what `ssac sync --json` writes."""
@@ -147,14 +151,15 @@ class NetworkResult:
         """Write a page as `Result.report` does, on all pairs and their network; give its path."""
         from ssac.pipeline.html_report import save_report
 
-        return save_report(Path(path), self.pairs, self.network, self.summary(), command)
+        unit = _unit(self.scale_is_known)
+        return save_report(Path(path), self.pairs, self.network, self.rows(), command, unit)
 
     def __repr__(self) -> str:
         placed = sum(camera.status == Status.OK for camera in self.network.cameras)
         return f"<ssac.NetworkResult {self.status}, {placed} of {len(self.names)} cameras placed>"
 
     def _repr_html_(self) -> str:
-        return html_of(self.summary())
+        return html_of(self.rows())
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
@@ -229,46 +234,69 @@ def write_two(
         found, ground = grounded(found, known, answer.config.rules.ground)
         _write_paths(trajectory, found, distance_m is not None or ground is not None, log)
     if rig is not None:
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = estimate.R, estimate.t * (distance_m or 1.0)
-        cameras = Cameras((answer.rig.cam1, answer.rig.cam2), (T,))
-        _save_rig(rig, cameras, [estimate.t_d_s], distance_m is not None, log)
+        T = _transform(estimate)
+        T[:3, 3] *= distance_m or 1.0
+        step = Step(1, T, estimate.t_d_s, in_metres=distance_m is not None)
+        _save_rig(rig, answer.cameras, [None, step], log)
 
 
 def _distance_m(answer: Answer) -> float | None:
-    """Give the distance of two cameras where it was stated, or is the rig's."""
-    T_2_1 = answer.rig.T_2_1
-    if answer.distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
+    """Give the distance of two cameras where it was stated, or is that of a rig in metres."""
+    T_2_1 = answer.rig.T_2_1 if answer.method.needs_extrinsics and answer.rig.in_metres else None
+    if answer.distance_m is None and T_2_1 is not None:
         return float(np.linalg.norm(T_2_1[:3, 3]))
     return answer.distance_m
 
 
 def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
-    """Write the rig with all poses found, each from the camera before in its group."""
-    rigs = [result.pairs[0, k].rig for k in range(1, len(result.names))]
-    steps, shifts_s = list[Array | None](), []
-    for one, other in pairwise(result.network.cameras):
-        is_placed = one.group == other.group and one.R is not None and other.R is not None
-        steps.append(_transform(other) @ np.linalg.inv(_transform(one)) if is_placed else None)
-        shown_s = [_clock(camera).cam2_from_cam1(other.t_ref_s) for camera in (one, other)]
-        shifts_s.append(float(shown_s[1]) - float(shown_s[0]) if is_placed else np.nan)
-    rig = Cameras((rigs[0].cam1, *(one.cam2 for one in rigs)), tuple(steps))
-    _save_rig(file, rig, shifts_s, result.scale_is_known, log)
+    """Write the rig with all poses found, each from the camera placed before it in its group."""
+    found, steps = result.network.cameras, list[Step | None]()
+    groups = [camera.group for camera in found]  # 0 of one that is placed nowhere
+    for k, other in enumerate(found):
+        before = [j for j in range(k) if 0 < groups[j] == groups[k]]
+        step = None
+        if before:
+            one = found[before[-1]]
+            T = _transform(other) @ np.linalg.inv(_transform(one))
+            shown_s = [
+                float(_clock(one_of).cam2_from_cam1(other.t_ref_s)) for one_of in (one, other)
+            ]
+            in_metres = result.scale_is_known and groups[k] == 1
+            step = Step(k - before[-1], T, shown_s[1] - shown_s[0], in_metres)
+        steps.append(step)
+    if not any(steps):
+        log(f"not written: {file}, since no two cameras are placed")
+        return
+    apart = [
+        f"camera {k} ({f'group {camera.group}' if camera.group else camera.status})"
+        for k, camera in enumerate(found, start=1)
+        if camera.group != 1
+    ]
+    rigs = [result.pairs[0, k].rig for k in range(1, len(found))]
+    _save_rig(file, (rigs[0].cam1, *(one.cam2 for one in rigs)), steps, log, apart)
 
 
-def _save_rig(file: Path, rig: Cameras, shifts_s: list[float], in_metres: bool, log: Log) -> None:
-    lengths = f"lengths in {_unit(in_metres)}"
-    save_rig(file, rig, shifts_s, f"{lengths}; t_cn = t_cnm1 + timeshift_cn_cnm1")
-    log(f"wrote {file}, {lengths}")
+def _save_rig(
+    file: Path,
+    cameras: Sequence[Camera],
+    steps: Sequence[Step | None],
+    log: Log,
+    apart: Sequence[str] = (),
+) -> None:
+    about = f"lengths in {_unit(any(step is not None and step.in_metres for step in steps))}"
+    if apart:
+        about += f"; no pose with the others: {', '.join(apart)}"
+    save_rig(file, cameras, steps, f"{about}; t_cn = t_cnm1 + timeshift_cn_cnm1")
+    log(f"wrote {file}, {about}")
 
 
 def _unit(in_metres: bool) -> str:
-    return "metres" if in_metres else "distances of the first two cameras"
+    return "metres" if in_metres else "distances of the first two cameras placed"
 
 
-def _transform(camera: CameraAnswer) -> Array:
+def _transform(of: CameraAnswer | Estimate) -> Array:
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = camera.R, camera.t
+    T[:3, :3], T[:3, 3] = of.R, of.t
     return T
 
 

@@ -142,7 +142,8 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
         pairs = [(first, second)] if n == 2 else [(k, k + 1) for k in range(1, n)]
         rigs = [load_rig(path, pair) for pair in pairs]
         cameras = rigs[0].cam1, *(one.cam2 for one in rigs)
-        return Cameras(cameras, tuple(one.T_2_1 for one in rigs), str(path))
+        in_metres = all(one.in_metres for one in rigs)
+        return Cameras(cameras, tuple(one.T_2_1 for one in rigs), str(path), in_metres)
     if numbers not in (None, (1, 2)):
         raise SsacError(
             f"cameras: {numbers} are of a rig file, and none was given: give the rig of those two"
@@ -181,7 +182,7 @@ def opened(
 def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Cameras:
     """Give a rig of any form as cameras, which are checked."""
     if isinstance(rig, Rig):
-        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
+        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,), in_metres=rig.in_metres)
     elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
         rig = Cameras(tuple(rig))
     if not isinstance(rig, Cameras):

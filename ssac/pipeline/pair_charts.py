@@ -17,19 +17,18 @@ from matplotlib.figure import Figure
 
 from ssac.arrays import Array
 from ssac.camera import Camera
-from ssac.estimate import Status
 from ssac.fit.covariance import NORMAL_95
-from ssac.fit.least_squares import Parameters
-from ssac.geometry.epipolar import robust_deviation, sampson_distance
-from ssac.methods.joint import sharp_pairs
-from ssac.methods.tangency import for_blind, tangent_times, tangents_under
+from ssac.geometry.epipolar import robust_deviation
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.plots import (
     BLUE,
     RED,
     YELLOW,
+    Fit,
+    best_s,
     draw_costs,
     draw_minimum,
+    fit_of,
     has_costs,
     has_fit,
 )
@@ -68,21 +67,11 @@ class Chart:
     is_wide: bool
 
 
-@dataclass(frozen=True)
-class Fit:
-    """The pairs (n,) of which an estimate was made, and how far they are from their lines."""
-
-    what: str  # they are
-    times_s: Array  # (n,) camera 1's clock
-    points_px: tuple[Array, Array]  # (n, 2) each
-    distances_px: Array  # (n,) signed Sampson distances
-
-
 def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
     """Draw all that an answer allows, by what it is of, with so many dots in a chart at most."""
-    fit = _fit_of(answer)
+    fit = fit_of(answer)
     return {
-        "cost": _cost_charts(answer),
+        "cost": _cost_charts(answer, fit),
         "residuals": [] if fit is None else _residual_charts(fit, answer, most),
         "clock": _clock_charts(answer),
     }
@@ -110,7 +99,7 @@ def _chart(
         drawn = io.StringIO()
         unsaid = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(drawn, format="svg", transparent=True, metadata=unsaid)
-    svg = re.sub(r"(\.\d)\d+", r"\1", drawn.getvalue())  # tenths of a point are enough
+    svg = re.sub(r' d="[^"]*"', _in_tenths, drawn.getvalue())
     themes = ["", ""]
     for k, (color, shown) in enumerate(_ON_PAGE.items()):
         svg = svg.replace(color.lower(), f"var(--c{k})")
@@ -121,6 +110,11 @@ def _chart(
     charts.append(Chart(title, words, quote(svg, " /;=,+"), width_in > 4.0))
 
 
+def _in_tenths(path: re.Match[str]) -> str:
+    """Cut a path's numbers off at tenths of a point, which are enough."""
+    return re.sub(r"(\.\d)\d+", r"\1", path[0])
+
+
 def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") -> None:
     """Draw points (n, 2) as strokes without a length, which take a tenth of a marker's text."""
     places = np.repeat(points, 3, axis=0)
@@ -128,33 +122,9 @@ def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") ->
     axes.plot(*places.T, color=color, lw=size, solid_capstyle="round", label=name or "_")
 
 
-def _fit_of(answer: Answer) -> Fit | None:
-    """Sample the pairs of an estimate again; None without F."""
-    estimate, views = answer.estimate, answer.paired
-    if estimate.F is None or not np.isfinite(estimate.t_d_s):
-        return None
-    of_tangents = answer.method.name.startswith("tangency") and not answer.is_start
-    if of_tangents and estimate.status == Status.OK and estimate.R is not None:
-        views = for_blind(views)
-        parameters = Parameters(estimate.t_d_s, estimate.R, np.asarray(estimate.t))
-        pairs, _ = tangents_under(parameters, views, tangent_times(views, estimate.t_d_s))
-        what, times_s, points = "tangents to the outline", pairs.times_s, (pairs.p1_px, pairs.p2_px)
-    elif estimate.covariance is not None or answer.method.finds_readout:
-        times_s = views.sample_times(np.array([estimate.t_d_s]))[0]
-        sharp, _ = sharp_pairs(*views.sharp_at(times_s, estimate.t_d_s), estimate.t_d_s)
-        what, times_s, points = "positions", sharp.times_s, (sharp.p1_px, sharp.p2_px)
-    else:
-        plain = views.pairs_at(estimate.t_d_s)
-        what, times_s, points = "positions", plain.times_s, plain.points_px
-    if len(times_s) == 0:
-        return None
-    return Fit(what, times_s, points, sampson_distance(estimate.F, *points))
-
-
-def _cost_charts(answer: Answer) -> list[Chart]:
+def _cost_charts(answer: Answer, fit: Fit | None) -> list[Chart]:
     """Draw the cost over the offsets that were searched, and near the one that was found."""
-    estimate, charts = answer.estimate, list[Chart]()
-    t_d_s, others_s = estimate.t_d_s, estimate.alternatives_s
+    charts, t_d_s, others_s = list[Chart](), best_s(answer), answer.estimate.alternatives_s
     if has_costs(answer):
         words = (
             "How well the views fit at each offset that was tried: one deep, narrow minimum (of a"
@@ -168,11 +138,11 @@ def _cost_charts(answer: Answer) -> list[Chart]:
             draw_costs(axes, answer)
     if has_fit(answer):
         words = (
-            "The same about the offset found, with the final geometry: how wide it is says how"
-            " sharply the motion tells the offset."
+            f"The cost of the {'positions' if fit is None else fit.what} about the offset found, by"
+            " the final geometry: how wide it is says how sharply the motion tells the offset."
         )
         with _chart(charts, "Near the minimum", words) as axes:
-            draw_minimum(axes, answer)
+            draw_minimum(axes, answer, fit)
     return charts
 
 
@@ -189,6 +159,9 @@ def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
     )
     if beyond:
         words += f" {beyond} of {len(off_px)} lie beyond the edges."
+    of_body = answer.estimate.n_samples - len(off_px)
+    if fit.is_of_tangents and of_body >= answer.config.rules.search.min_pairs:
+        words += f" The answer's other pairs, about {of_body} of a body's point, are left out."
     with _chart(charts, "Residuals over time", words) as axes:
         since_s = fit.times_s - answer.paired.motions[0].span_s[0]
         _dots(axes, np.column_stack([since_s, off_px])[thin], BLUE, 3.0)
@@ -227,15 +200,19 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
     for k, seen in enumerate(cameras):
         times_s = np.linspace(*seen.span_s, most, dtype=np.float64)
         track, motion, grid = seen.motion.at(times_s), seen.motion, grid_of(seen.clean.camera)
-        few, why, name = ~track.valid, "in gaps of the track", "gap"
+        few, name, more = ~track.valid, "gap", "in gaps of the track"
+        edge = np.zeros_like(few)
         if isinstance(motion, ObjectMotion):
             few, name = few & (track.counts < motion.n_min), "too few events"
-            why = f"with fewer than {motion.n_min} events within {1e3 * motion.half_window_s:g} ms"
-        edge = ~track.valid & ~few
+            edge = ~track.valid & ~few
+            more = (
+                f"with fewer than {motion.n_min} events within {1e3 * motion.half_window_s:g} ms"
+                f" and {np.count_nonzero(edge)} that touch the border or a gap"
+            )
         words = (
             f"Of {most} even times {np.count_nonzero(track.valid)} are valid; rejected are"
-            f" {np.count_nonzero(few)} {why} and {np.count_nonzero(edge)} that touch the border or"
-            " a gap. Grey: all events."
+            f" {np.count_nonzero(few)} {more}."
+            f" Grey: all {'events' if seen.shown.track is None else 'points'}."
         )
         title, camera = f"Samples in camera {k + 1}'s image", seen.clean.camera
         with _image_chart(charts, title, words, camera) as axes:
@@ -250,8 +227,11 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
                     _dots(axes, track.positions_px[which], color, 3.0, label)
                 since_s = times_s - start_s - (seen.later_s or 0.0)
                 strips.append((np.where(which, since_s, np.nan), k, color))
+    have_events = {isinstance(seen.motion, ObjectMotion) for seen in cameras}
+    rejected = ["red with too few events, orange at the border or a gap"] * (True in have_events)
+    rejected += ["red in a track's gap"] * (False in have_events)
     words = (
-        "Blue where a sample is valid,"
+        f"Blue where a sample is valid, {', '.join(rejected)};"
         f" {'on the clock of camera 1' if is_common else 'each on its own clock'}: only what two"
         " see at one time tells anything."
     )

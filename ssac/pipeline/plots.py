@@ -9,6 +9,7 @@ are P. Tol's high-contrast set, which stays apart in grey and for colour-blind p
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +21,18 @@ from numpy.typing import NDArray
 
 from ssac.arrays import Array
 from ssac.camera import Camera, undistortion_map
+from ssac.estimate import Status
 from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
 from ssac.fit.covariance import NORMAL_95
-from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
+from ssac.fit.least_squares import Parameters, WeighedPairs
+from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, sampson_distance
 from ssac.geometry.pose import rays_of
+from ssac.methods.joint import sharp_pairs
+from ssac.methods.tangency import for_blind, tangent_times, tangents_under
 from ssac.pipeline.answer import Answer
 from ssac.search.offset_search import mean_epipolar_distance
+from ssac.search.two_views import PairsAt
 
 if TYPE_CHECKING:
     from ssac.network.comparison import Comparison, InTime
@@ -40,6 +46,7 @@ POLARITIES = Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="dar
 ZOOM_S = 0.003  # half the width of the zoom around the minimum, as in the paper's Fig. 5
 
 _WIDTH_IN, _DPI = 9.0, 150
+_TRUTH = "0.75"  # of a wide path, beneath the estimate's
 _POINT: dict[str, Any] = {
     "marker": "X",
     "markersize": 11,
@@ -98,6 +105,58 @@ def _save(page: Figure, path: Path, dpi: int) -> None:
         page.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
 
 
+@dataclass(frozen=True)
+class Fit:
+    """The pairs (n,) of which an estimate was made, and how far they are from their lines."""
+
+    is_of_tangents: bool  # to the outline; no: of positions
+    times_s: Array  # (n,) camera 1's clock
+    points_px: tuple[Array, Array]  # (n, 2) each
+    v2_px_s: Array | None  # (n, 2) of the second; None where it is not known
+    distances_px: Array  # (n,) signed Sampson distances
+
+    @property
+    def what(self) -> str:
+        """Say what they are."""
+        return "tangents to the outline" if self.is_of_tangents else "positions"
+
+
+def fit_of(answer: Answer) -> Fit | None:
+    """Sample the pairs of an estimate, or of a refusal's best offset, again; None without F."""
+    estimate, views, t_d_s = answer.estimate, answer.paired, best_s(answer)
+    if estimate.F is None or not np.isfinite(t_d_s):
+        return None
+    is_refined = answer.method.name.startswith("tangency") and not answer.is_start
+    of_tangents = is_refined and estimate.status == Status.OK and estimate.R is not None
+    pairs: WeighedPairs | PairsAt
+    if of_tangents:
+        views = for_blind(views)
+        parameters = Parameters(t_d_s, np.asarray(estimate.R), np.asarray(estimate.t))
+        pairs, _ = tangents_under(parameters, views, tangent_times(views, t_d_s))
+    elif estimate.covariance is not None or answer.method.finds_readout:
+        times_s = views.sample_times(np.array([t_d_s]))[0]
+        pairs, _ = sharp_pairs(*views.sharp_at(times_s, t_d_s), t_d_s)
+    else:
+        pairs = views.pairs_at(t_d_s)
+    if len(pairs.times_s) == 0:
+        return None
+    return Fit(
+        of_tangents,
+        pairs.times_s,
+        (pairs.p1_px, pairs.p2_px),
+        pairs.v2_px_s if isinstance(pairs, WeighedPairs) else None,
+        sampson_distance(estimate.F, pairs.p1_px, pairs.p2_px),
+    )
+
+
+def best_s(answer: Answer) -> float:
+    """Give the offset [s], or of a refusal without one the best that was tried; else NaN."""
+    estimate = answer.estimate
+    if np.isfinite(estimate.t_d_s) or not np.isfinite(estimate.costs).any():
+        return estimate.t_d_s
+    return float(estimate.candidates_s[np.nanargmin(estimate.costs)])
+
+
 def has_fit(answer: Answer) -> bool:
     """Whether there are epipolar lines, and times at which they belong together."""
     return answer.estimate.F is not None and bool(np.isfinite(answer.estimate.t_d_s))
@@ -114,15 +173,16 @@ def draw_search(canvas: Canvas, answer: Answer) -> None:
     draw_costs(whole, answer)
     whole.set_title("Over the search interval")
     for axes in rest:
-        draw_minimum(axes, answer)
+        draw_minimum(axes, answer, fit_of(answer))
         axes.set_title("Near the offset found, with the final F")
     for axes in (whole, *rest):
-        axes.legend(loc="best", fontsize="small")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="best", fontsize="small")
 
 
 def draw_costs(axes: Axes, answer: Answer) -> None:
     """Draw the cost, or the correlation, at all offsets that were tried."""
-    estimate, t_d_s = answer.estimate, answer.estimate.t_d_s
+    estimate, t_d_s = answer.estimate, best_s(answer)
     offsets_s, costs = estimate.candidates_s, estimate.costs
     if not np.isfinite(costs).any():  # the method kept none: that of its F
         offsets_s = np.arange(*answer.paired.config.offsets_s, 2e-3, dtype=np.float64)
@@ -146,12 +206,19 @@ def draw_costs(axes: Axes, answer: Answer) -> None:
         _mark_offset(axes, t_d_s - base_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms{what}")
 
 
-def draw_minimum(axes: Axes, answer: Answer) -> None:
-    """Draw the cost about the offset found, with the F that goes with it."""
+def draw_minimum(axes: Axes, answer: Answer, fit: Fit | None) -> None:
+    """Draw the cost of a fit's pairs about the offset found, with the F that goes with it."""
     t_d_s, std_s = answer.estimate.t_d_s, answer.estimate.t_d_std_s
     reach_s = max(ZOOM_S, 4.0 * std_s) if np.isfinite(std_s) else ZOOM_S
     near_s: Array = np.linspace(-reach_s, reach_s, 121, dtype=np.float64)
-    axes.plot(1e3 * near_s, d_avg_px(answer, t_d_s + near_s), color=BLUE, lw=1.2)
+    if fit is None or fit.v2_px_s is None:
+        costs_px = d_avg_px(answer, t_d_s + near_s)
+    else:
+        p1_px, p2_px = fit.points_px
+        p2_px = p2_px + near_s[:, None, None] * fit.v2_px_s
+        distances_px = epipolar_distance(np.asarray(answer.estimate.F), p1_px, p2_px)
+        costs_px = np.nanmean(distances_px, axis=1)
+    axes.plot(1e3 * near_s, costs_px, color=BLUE, lw=1.2)
     if np.isfinite(std_s):
         ends_ms = NORMAL_95 * 1e3 * std_s * np.array([-1.0, 1.0])
         axes.axvspan(*ends_ms, color=RED, alpha=0.2, lw=0.0, label="95 % interval")
@@ -299,11 +366,12 @@ def draw_comparison(comparison: "Comparison") -> Figure:
 
 def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
     axes = canvas.add_subplot(projection="3d")
-    axes.plot(*_broken(comparison.truth_m).T, color=BLUE, lw=1.2, label="truth")
-    axes.plot(*_broken(comparison.estimate_m).T, color=YELLOW, lw=1.2, label="estimate")
+    axes.plot(*_broken(comparison.truth_m).T, color=_TRUTH, lw=4.0, label="truth")
+    axes.plot(*_broken(comparison.estimate_m).T, color="black", lw=1.0, label="estimate")
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     # Smaller than the canvas, which does not count the labels of axes in space as its own.
-    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9), zoom=0.88)
+    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9), zoom=0.8)
+    axes.locator_params(nbins=4)
     axes.legend(loc="upper right", fontsize="small")
     shape_m, in_time = comparison.as_shape.rmse_m, comparison.in_time
     said = f"{shape_m:.3f} m (ICP)"
@@ -329,8 +397,8 @@ def _draw_over_time(canvas: Canvas, found: "InTime") -> None:
 
     for k, name in enumerate("xyz"):
         path, difference = rows[2 * k], rows[2 * k + 1]
-        path.plot(broken(times_s), broken(found.truth_m[:, k]), color=BLUE, lw=1.2)
-        path.plot(broken(times_s), broken(found.estimate_m[:, k]), color=YELLOW, lw=1.0)
+        path.plot(broken(times_s), broken(found.truth_m[:, k]), color=_TRUTH, lw=4.0)
+        path.plot(broken(times_s), broken(found.estimate_m[:, k]), color="black", lw=1.0)
         path.set_ylabel(f"{name} [m]")
         off_cm = 100.0 * (found.estimate_m[:, k] - found.truth_m[:, k])
         difference.plot(broken(times_s), broken(off_cm), color=RED, lw=0.8)

@@ -1,6 +1,7 @@
 """What is found of two cameras, as text for people and as JSON for machines."""
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from html import escape
@@ -11,10 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
+from ssac.errors import columns, folded
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.methods.method import Input, Method
-from ssac.pipeline.answer import COLUMNS, Answer, folded
+from ssac.pipeline.answer import Answer
+
+Rows = Sequence[tuple[str, str]]  # of a name, which may be empty, and a value
 
 _NAME = 15  # columns of a row's name
 
@@ -23,6 +27,11 @@ _OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
 
 def report_text(answer: Answer) -> str:
     """Lay out a result for people, the sign of the offset in words."""
+    return text_of(report_rows(answer))
+
+
+def report_rows(answer: Answer) -> Rows:
+    """Lay out a result for people, in rows that nothing has folded."""
     estimate, rows = answer.estimate, list[tuple[str, str]]()
     if estimate.status != "ok":
         title = "no pose" if estimate.has_offset else "no estimate"
@@ -42,14 +51,14 @@ def report_text(answer: Answer) -> str:
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
     rows.append(("method", f"{answer.method.name}: {answer.method.summary}"))
-    return text_of(rows)
+    return rows
 
 
-def text_of(rows: Sequence[tuple[str, str]]) -> str:
-    """Lay out rows of a name, which may be empty, and a value; long values are folded."""
-    lines = []
+def text_of(rows: Rows) -> str:
+    """Lay out rows as text; long values are folded."""
+    lines, width = [], columns(sys.stdout) - _NAME
     for name, value in rows:
-        first, *others = folded(value, COLUMNS - _NAME)
+        first, *others = folded(value, width)
         lines += [f"{name:{_NAME}}{first}", *(f"{'':{_NAME}}{other}" for other in others)]
     return "\n".join(lines)
 
@@ -117,16 +126,11 @@ def _objects_row(answer: Answer) -> list[tuple[str, str]]:
     return [("objects", "; ".join(parts))]
 
 
-def rows_of(text: str) -> list[tuple[str, str]]:
-    """Give name and value of each line of a summary."""
-    return [(line[:_NAME].strip(), line[_NAME:].strip()) for line in text.splitlines()]
-
-
-def html_of(text: str) -> str:
-    """Lay out the lines of a summary as a table, for notebooks."""
+def html_of(rows: Rows) -> str:
+    """Lay out rows as a table, for notebooks."""
     left = "style='text-align:left'"
-    rows = [f"<th {left}>{escape(a)}</th><td {left}>{escape(b)}</td>" for a, b in rows_of(text)]
-    return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+    cells = [f"<th {left}>{escape(a)}</th><td {left}>{escape(b)}</td>" for a, b in rows]
+    return f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
 
 def save_json(path: Path, told: dict[str, Any]) -> None:
@@ -157,16 +161,10 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
     """Rows on the skew, where it was estimated."""
-    if not (
-        estimate.has_offset and np.isfinite(estimate.skew_ppm) and estimate.skew_std_ppm != 0.0
-    ):
+    runs, std_ppm = how_it_runs(estimate), estimate.skew_std_ppm
+    if not runs:
         return []
-    std_ppm = estimate.skew_std_ppm
     sigma = f", 1 sigma {std_ppm:.1f} ppm" if np.isfinite(std_ppm) else ""
-    ppm, is_fast = abs(estimate.skew_ppm), estimate.skew_ppm >= 0.0
-    runs = f"camera 2's clock runs {'fast' if is_fast else 'slow'}"
-    if ppm <= std_ppm:
-        runs = "the clocks run alike, as far as this tells"
     rows = [
         ("clock skew", f"{estimate.skew_ppm:+.1f} ppm{sigma}"),
         ("", f"{runs}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
@@ -177,6 +175,16 @@ def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
     if answer.of_skew:
         rows.append(("", answer.of_skew))
     return rows
+
+
+def how_it_runs(estimate: Estimate) -> str:
+    """Say how camera 2's clock runs; empty where its skew was not estimated."""
+    ppm, std_ppm = estimate.skew_ppm, estimate.skew_std_ppm
+    if not (estimate.has_offset and np.isfinite(ppm) and std_ppm != 0.0):
+        return ""
+    if abs(ppm) <= std_ppm:
+        return "the clocks run alike, as far as this tells"
+    return f"camera 2's clock runs {'fast' if ppm >= 0.0 else 'slow'}"
 
 
 def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
@@ -194,21 +202,19 @@ def _pose_rows(
     estimate: Estimate, R: Array, t: Array, distance_m: float | None
 ) -> list[tuple[str, str]]:
     """Rows on the pose x2 = R x1 + t, with its deviations where they are known."""
-    length, unit = ", of unknown length", ""
-    if distance_m is not None:
-        t, length, unit = distance_m * t, f" m, {distance_m:g} m long as stated", " m"
+    lies, unit, length = of_length(distance_m)
+    t = (distance_m or 1.0) * t
     stds_deg = estimate.r_std_deg, estimate.t_std_deg
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
     apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
     rows = [
         ("lines of sight", f"{apart_deg:.2f} deg apart"),
-        ("rotation", f"vector {_vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
-        ("translation", f"t = {_vector(t, 4)}{length}{sigmas[1]}"),
+        ("rotation", f"vector {vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
+        ("translation", f"t = {vector(t, 4)}{unit}, {length}{sigmas[1]}"),
         (
             "",
-            f"camera 2 lies {'at' if unit else 'towards'} {_vector(-R.T @ t, 3)}{unit} of camera 1"
-            " (right, down, forward)",
+            f"camera 2 {lies} {vector(-R.T @ t, 3)}{unit} of camera 1 (right, down, forward)",
         ),
     ]
     if np.isfinite(estimate.per_focal_deg).all():
@@ -218,14 +224,24 @@ def _pose_rows(
     return rows
 
 
+def of_length(distance_m: float | None) -> tuple[str, str, str]:
+    """Say how camera 2 lies at its place, in which unit, and how long t is."""
+    if distance_m is None:
+        return "lies towards", "", "of unknown length"
+    return "lies at", " m", f"{distance_m:g} m long as stated"
+
+
+def counts_of(answer: Answer) -> str:
+    """Say what the estimate's `n_samples` are, in the words of its method."""
+    if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
+        return "pairs"
+    return Method.counts if answer.is_start else answer.method.counts
+
+
 def _samples(answer: Answer) -> str:
-    """Say what the estimate rests on, in the words of its method."""
-    estimate, method = answer.estimate, answer.method
-    if estimate.status != "ok":  # it may have stopped before the pairs that it is named for
-        return f"{estimate.n_samples} pairs used"
-    counts = Method.counts if answer.is_start else method.counts
+    counts = counts_of(answer)
     times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
-    return f"{estimate.n_samples} {counts} used{times}"
+    return f"{answer.estimate.n_samples} {counts} used{times}"
 
 
 def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
@@ -256,7 +272,8 @@ def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
     return rows
 
 
-def _vector(values: Array, digits: int) -> str:
+def vector(values: Array, digits: int) -> str:
+    """Write numbers (n,) in brackets."""
     return f"({', '.join(f'{value:.{digits}f}' for value in values + 0.0)})"
 
 

@@ -20,17 +20,12 @@ from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.estimate import Status
 from ssac.events import US_PER_S, slice_time
-from ssac.geometry.epipolar import (
-    cross_matrix,
-    epipolar_distance,
-    robust_deviation,
-    sampson_distance,
-)
-from ssac.geometry.pose import depths, rays_of, tangent_basis
+from ssac.geometry.epipolar import epipolar_distance, robust_deviation, sampson_distance
+from ssac.geometry.pose import centre_covariance, depths, rays_of
 from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.plots import d_avg_px, ideal_points
+from ssac.pipeline.plots import best_s, d_avg_px, ideal_points
 from ssac.track.clean import Clean
 from ssac.track.moments import image_by_place
 from ssac.track.motion import Motion
@@ -132,7 +127,7 @@ def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, An
     for k, seen in enumerate(cameras):
         first_s, last_s = seen.span_s
         later_s = first_s - cameras[0].span_s[0] if seen.later_s is None else seen.later_s
-        reach_s = max(_reach_s(one.estimate.t_d_s) for pair, one in answers.items() if k in pair)
+        reach_s = max(_reach_s(best_s(one)) for pair, one in answers.items() if k in pair)
         span_s = max(first_s, begin_s + later_s - reach_s), min(last_s, end_s + later_s + reach_s)
         views.append(_view(seen, span_s, _MOST_EVENTS // len(cameras)))
     pairs = [_pair(pair, answer, views) for pair, answer in answers.items()]
@@ -217,11 +212,11 @@ def packed(values: NDArray[Any], dtype: DTypeLike) -> str:
 def _pair(pair: Pair, answer: Answer, views: list[dict[str, Any]]) -> dict[str, Any]:
     """Lay out how two cameras fit: F, the clock and the cost over the offsets that can be tried."""
     estimate, clock = answer.estimate, answer.estimate.clock
-    is_known, middle_s = bool(np.isfinite(estimate.t_d_s)), estimate.t_d_s
+    middle_s = best_s(answer)
+    is_known, reach_s = bool(np.isfinite(middle_s)), _reach_s(middle_s)
     if not is_known:  # clocks as they are; or, where they have nothing in common, from both starts
         apart_s = views[pair[1]]["start"] - views[pair[0]]["start"]
         middle_s = 0.0 if abs(apart_s) < _LONGEST_S else apart_s
-    reach_s = _reach_s(estimate.t_d_s)
     before_s = float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s))
     curve_px = d_avg_px(
         answer, np.linspace(middle_s - reach_s, middle_s + reach_s, 301, dtype=np.float64)
@@ -245,7 +240,7 @@ def _pair(pair: Pair, answer: Answer, views: list[dict[str, Any]]) -> dict[str, 
 
 def _telling_time_s(answer: Answer, view: dict[str, Any], before_s: float) -> float:
     """Give a time at which a picture tells much: before, the object is far off its line."""
-    views, F, t_d_s = answer.paired, answer.estimate.F, answer.estimate.t_d_s
+    views, F, t_d_s = answer.paired, answer.estimate.F, best_s(answer)
     times_s: Array = view["start"] + view["frame"] * np.arange(view["n_frames"], dtype=np.float64)
     one = views.motion1.at(times_s)
     seen, worth = one.valid, -np.abs(times_s - np.mean(times_s))
@@ -289,9 +284,7 @@ def scene_of_two(answer: Answer) -> dict[str, Any] | None:
     sigma_px = robust_deviation(sampson_distance(F, p1, p2))
     axes_2: Array = np.zeros((3, 3))
     if estimate.covariance is not None:
-        # The centre is -R' t: a turn w of R moves it by -R' (t x w), a change dt of t by -R' dt.
-        by_pose = -R.T @ np.hstack([cross_matrix(t), tangent_basis(t).T])
-        axes_2 = _axes(by_pose @ estimate.covariance[1:, 1:] @ by_pose.T)
+        axes_2 = _axes(centre_covariance(R, t, estimate.covariance[1:, 1:]))
     cameras = [
         _camera(0, np.eye(3), np.zeros(3), np.zeros((3, 3)), 0.0),
         _camera(1, R, -R.T @ t, axes_2, estimate.t_d_s),
@@ -307,10 +300,8 @@ def scene_of_network(network: NetworkAnswer) -> dict[str, Any] | None:
     path, cameras = network.paths[0].path, list[dict[str, Any]]()
     for k, camera in enumerate(network.cameras):
         if camera.group == 1 and camera.R is not None and camera.centre is not None:
-            stds = np.zeros(3) if camera.t_std is None else camera.t_std
-            cameras.append(
-                _camera(k, camera.R, camera.centre, np.diag(stds) @ camera.R, camera.t_d_s)
-            )
+            axes = _axes(np.asarray(camera.centre_covariance))
+            cameras.append(_camera(k, camera.R, camera.centre, axes, camera.t_d_s))
     thin = slice(None, None, 1 + len(path) // _MOST_POINTS)
     some = slice(None, None, 1 + len(path) // _CROSSES)
     stds_m = np.zeros((len(path), 3)) if path.deviations_m is None else path.deviations_m
@@ -335,7 +326,8 @@ def _laid_out(
     """Give all of it as lists, and how much larger deviations must be drawn to be seen."""
     every = np.vstack([points, [camera["centre"] for camera in cameras]])
     extent = float(np.linalg.norm(np.ptp(every, axis=0)))
-    lengths = [float(np.median(np.linalg.norm(crosses, axis=2).max(axis=1)))]
+    longest = np.linalg.norm(crosses, axis=2).max(axis=1)
+    lengths = [float(np.percentile(longest, 95.0)), 0.2 * float(longest.max())]
     lengths += [float(np.max(np.linalg.norm(camera["axes"], axis=1))) for camera in cameras]
     larger = next((n for n in _LARGER[::-1] if 0.0 < n * max(lengths) < 0.04 * extent), 1)
     steps_s = np.diff(times_s)

@@ -41,7 +41,7 @@ class Pairs:
 class PairsAt:
     """The valid pairs at one offset."""
 
-    t_d_s: float
+    t_d_s: float  # the offset
     times_s: Array  # (n,) camera 1's clock
     p1_px: Array  # (n, 2)
     p2_px: Array  # (n, 2)
@@ -72,10 +72,10 @@ class TwoViews:
     Which time of camera 2 belongs to one of camera 1 is said in `on_clock_2`, and nowhere else.
     """
 
-    motion1: Motion
-    motion2: Motion
-    rig: Rig
-    config: Config
+    motion1: Motion  # of the object in camera 1, on its own clock
+    motion2: Motion  # and in camera 2, on its own
+    rig: Rig  # both cameras, with the extrinsics where a method may see them
+    config: Config  # with nothing left open
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
     clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds

@@ -30,7 +30,7 @@ def unfolded(text: str) -> str:
     rows, before = list[str](), ""
     for line in text.splitlines():
         word = line.split(maxsplit=1)[:1]
-        if word and line.startswith(15 * " ") and len(f"{before} {word[0]}") > 100:
+        if word and line.startswith(6 * " ") and len(f"{before} {word[0]}") > 100:
             rows[-1] += f" {line.strip()}"
         else:
             rows.append(line)

@@ -412,7 +412,7 @@
     if (visible) wake();
   }).observe(root);
 
-  choose(0);
+  choose(data.first);
   setPlaying(data.tour && !calm.matches);
   root.dataset.ready = "";
 })();

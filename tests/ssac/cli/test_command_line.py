@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 from functools import partial
 from importlib.metadata import version
 
@@ -12,11 +13,20 @@ import pytest
 
 from ssac.cli import convert, sync
 from ssac.cli.command_line import Entry, command_line, run
-from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, PIPE_CLOSED, guarded
+from ssac.cli.exits import (
+    BAD_INPUT,
+    BUG,
+    DONE,
+    INTERRUPTED,
+    NO_ESTIMATE,
+    PIPE_CLOSED,
+    fail,
+    guarded,
+)
 from ssac.cli.options import config_of
 from ssac.cli.progress import compilation_told, progress, say
 from ssac.config import Config
-from ssac.errors import PluginError, SsacError
+from ssac.errors import COLUMNS, PluginError, SsacError, columns
 
 LONG = "A summary of some length, which a narrow list of commands would cut."
 ENTRIES = (
@@ -259,6 +269,25 @@ def test_a_terminal_has_a_bar(capsys, monkeypatch):
     assert "\rflights: 100%|" in err
     assert "2/2 [" in err
     assert "done after" not in err
+
+
+@pytest.mark.parametrize(
+    ("width", "expected"),
+    [(60, 60), (500, COLUMNS), (3, 40), (0, COLUMNS)],  # 0: it does not say
+)
+def test_lines_fit_the_terminal(width, expected, monkeypatch):
+    reader, end = os.openpty()
+    termios.tcsetwinsize(end, (24, width))
+    message = " ".join(20 * ["a.h5: expected events, got none"])
+    with open(end, "w") as terminal:
+        assert columns(terminal) == expected
+        monkeypatch.setattr(sys, "stderr", terminal)
+        fail(message, BAD_INPUT)
+        terminal.flush()
+        shown = os.read(reader, 10_000).decode()
+    os.close(reader)
+    assert max(map(len, shown.splitlines())) in range(expected - 9, expected + 1)
+    assert shown.split() == ["error:", *message.split()]
 
 
 class OwnError(ValueError):

@@ -15,7 +15,7 @@ from ssac.files.text import save_events_text
 from ssac.files.track_files import load_track, save_track
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import lamp, noise
-from tests.ssac.command import run_sync
+from tests.ssac.command import run, run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 from tests.ssac.tracks import rig_document, save_pair
 
@@ -108,11 +108,18 @@ EVENTS = [
     ("cam1.h5 --rtk zero.h5", "zero.h5: there are no points: give a path of some"),
     ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
     ("cam1.h5 --write-rig rig.yaml", "rig.yaml: is one of the inputs"),
+    ("cam1.h5 --report page", "page: cannot write the extension '': use one of .htm, .html"),
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
     ("cam1.h5 --positions zero.h5", "zero.h5: the first line must be camera,x_m,y_m,z_m"),
     ("cam1.h5 --positions cam1.h5", "cam1.h5: not a text file of positions"),
-    ("both.bag", "both.bag: events or points are on 2 topics, /left, /right: .* --topics /left /r"),
-    ("both.bag/up", r"both.bag: expected these on the topic /up .*, got the topics /left .*, /rig"),
+    (
+        "both.bag",
+        "both.bag: events or points are on 2 topics, /left, /right: .*, as both.bag/left$",
+    ),
+    (
+        "both.bag/up",
+        r"both.bag: there is no topic /up, only /left .*, /right .*: name one of these",
+    ),
     ("cam1.h5 --topics /left /right", "--topics: expected one ROS bag or two, got cam1.h5 cam2.h5"),
     ("both.bag/left --json both.bag", "both.bag: is one of the inputs"),
     ("cam1.h5 --search -1", "Option '--search' requires 2 arguments; see .*ssac.cli sync --help$"),
@@ -163,7 +170,9 @@ MANY = [
 
 ONE = [
     ("cam1.h5", "cam1.h5: expected two cameras, or a folder with cam1.h5"),
-    ("one.bag", "one.bag: has one topic of events or points, /left: give"),
+    ("nowhere", "nowhere: there is no such file"),
+    ("one.bag", "one.bag: one camera's topic, /left: give the other camera's file too"),
+    ("both.bag", "2 topics, .*, as both.bag/left, or both cameras' with --topics /left /right$"),
     ("both.bag --topics /left /left", "both.bag/left: given for both cameras"),
 ]
 
@@ -215,3 +224,10 @@ def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, 
     assert re.search(message, first)
     assert "error" not in result.stderr
     assert "search  " not in result.stderr
+
+
+def test_one_camera_of_a_bag_is_not_sent_to_an_option_of_two(folder, tmp_path):
+    args = folder / "both.bag", "--rig", folder / "rig.yaml", "--out", tmp_path / "track.csv"
+    code, _, err = run("track", *args)
+    assert code == BAD_INPUT
+    assert err.endswith(f"name one behind the bag, as {folder}/both.bag/left\n")

@@ -332,6 +332,7 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
     [
         ("a.csv", 10**9, "{:.0f}", "t must be in microseconds, .* 50000 events last 19999.6 s: "
          "if it is in nanoseconds, divide"),
+        ("a.npy", 10**9, "{:.0f}", "t must be in microseconds, .* in nanoseconds, divide"),
         ("a.csv", 10**3, "{:.0f}", "t must be in microseconds, .* last 0.02 s: if it is in "
          "milliseconds, multiply"),
         ("a.txt", 10**3, "{:.1f}", "t must be in seconds, .* if it is in milliseconds, divide"),
@@ -348,6 +349,10 @@ def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_pa
         for t_s in times_s
     )
     (tmp_path / name).write_text(f"t,x,y,p\n{text}" if name == "a.csv" else text)
+    if name == "a.npy":
+        events = random_events(len(times_s))
+        events["t"] = per_s * times_s
+        save_events_numpy(tmp_path / name, events, None, None)
     if "whole" in message:
         with pytest.raises(SsacError, match=message):
             load_events(tmp_path / name)

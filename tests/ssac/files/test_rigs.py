@@ -8,9 +8,9 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from ssac.camera import Camera, Cameras, same_camera
+from ssac.camera import Camera, same_camera
 from ssac.errors import SsacError
-from ssac.files.rigs import check_resolution, load_camera, load_rig, save_rig
+from ssac.files.rigs import Step, check_resolution, load_camera, load_rig, save_rig
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
 R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
@@ -68,22 +68,29 @@ def test_a_rig_that_was_written_is_read_as_it_was(tmp_path):
         Camera(K, 346, 260, "radtan", tuple(FIVE), readout_s=0.02),
         Camera(K, 346, 260, "equidistant", (0.1, 0.0, 1 / 3, 0.0)),
     )
-    steps, path = (T_2_1, None, np.linalg.inv(T_2_1)), tmp_path / "rig.yaml"
-    save_rig(path, Cameras(cameras, steps), [1 / 3, np.nan, -2.0], "made of nothing")
-    for k, step in enumerate(steps, start=1):
-        rig = load_rig(path, (k, k + 1))
-        for found, camera in ((rig.cam1, cameras[k - 1]), (rig.cam2, cameras[k])):
+    first = Step(1, T_2_1, 1 / 3, in_metres=False)
+    second = Step(2, np.linalg.inv(T_2_1), -2.0, in_metres=True)  # past a camera without a pose
+    path = tmp_path / "rig.yaml"
+    save_rig(path, cameras, (None, first, None, second), "made of nothing")
+    both = second.T @ first.T, False
+    for (i, j), (T, in_metres) in {
+        (1, 2): (first.T, False), (2, 4): (second.T, True), (1, 4): both,
+        (1, 3): (None, True), (3, 4): (None, True),
+    }.items():  # fmt: skip
+        rig = load_rig(path, (i, j))
+        for found, camera in ((rig.cam1, cameras[i - 1]), (rig.cam2, cameras[j - 1])):
             assert same_camera(found, camera)
             assert found.intrinsics_std_px == camera.intrinsics_std_px
-        np.testing.assert_array_equal(rig.T_2_1, step)
-    entries = yaml.safe_load(path.read_text())
-    shifts_s = [entry.get("timeshift_cn_cnm1") for entry in entries.values()]
-    assert shifts_s == [None, 1 / 3, None, -2.0]
+        np.testing.assert_array_equal(rig.T_2_1, T)
+        assert rig.in_metres == in_metres
+    entries = [*yaml.safe_load(path.read_text()).values()]
+    assert entries[1]["timeshift_cn_cnm1"] == 1 / 3
+    assert entries[3]["timeshift_cn_cnm2"] == -2.0
 
 
 def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
-    rig = Cameras((Camera(K, 346, 260),) * 2, (T_2_1,))
-    save_rig(tmp_path / "rig.yaml", rig, [0.0], "a comment")
+    steps = None, Step(1, T_2_1, 0.0, in_metres=True)
+    save_rig(tmp_path / "rig.yaml", (Camera(K, 346, 260),) * 2, steps, "a comment")
     lines = (tmp_path / "rig.yaml").read_text().splitlines()
     (words,) = [line.split() for line in lines if "static_transform_publisher" in line]
     given = dict(zip(words[5::2], words[6::2], strict=True))
@@ -129,6 +136,7 @@ MISSING = object()
         ("cam0", "distortion_model", "plumb_bob", "plumb_bob needs 5 coefficients"),
         ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
         ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
+        ("cam1", "length_unit", "mm", "length_unit: expected m or first_baseline, got mm"),
         ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 finite"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
         # A hundredth longer than a rotation; four digits are off by a ten thousandth.

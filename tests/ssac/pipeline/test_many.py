@@ -121,8 +121,8 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     assert code == 1, err
     assert f"not written: {path}" in err
     assert not path.exists()
-    assert (n_cameras == 2) == (f"not written: {rig}" in err)
-    assert not rig.exists() or load_rig(rig).T_2_1 is None
+    assert f"not written: {rig}" in err
+    assert not rig.exists()
     assert read_json(out)["status"] != "ok"
 
 
@@ -136,20 +136,33 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     assert files.rms_off_m(out) < 0.15  # as of three cameras, and one less to hold them
     path = read_path(out)
     assert path.deviations_m.shape == path.positions_m.shape
-    code, text, err = sync(files, [*files.cameras(2), late])
+    one, other = files.cameras(2)
+    found, rig = tmp_path / "out.json", tmp_path / "rig.yaml"
+    code, text, err = sync(files, [one, late, other], "--json", found, "--write-rig", rig)
     assert code == 1, err
     assert re.search(r"late +no_match", text)
+    assert "placed; no pose with the others: camera 2 (no_match)\n" in err
+    assert load_rig(rig, (1, 2)).T_2_1 is None
+    written = load_rig(rig, (1, 3))  # past the camera that has no pose
+    np.testing.assert_allclose(written.T_2_1[:3, :3], read_json(found)["cameras"][2]["R"])
+    assert not written.in_metres
 
 
-def test_the_path_of_known_extrinsics_has_their_scale(files, tmp_path):
+@pytest.mark.parametrize("unit", ["m", "first_baseline"])
+def test_the_path_of_known_extrinsics_has_their_scale_if_they_have_one(files, tmp_path, unit):
     R, t_m = files.flight.poses[1]
     rig, out = yaml.safe_load((files.folder / "rig.yaml").read_text()), tmp_path / "path.csv"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
-    rig["cam1"]["T_cn_cnm1"] = T_2_1.tolist()
+    rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
     again = tmp_path / "again.yaml"
     code, _, err = run("sync", *files.cameras(2), *options, "--write-rig", again)
     assert code == 0, err
+    if unit == "first_baseline":
+        T_2_1[:3, 3] /= files.flight.distance_m
+        assert err.count("in distances of the first two cameras placed") == 2
+    else:
+        assert files.rms_off_m(out) < 0.15  # as where --distance says the scale
     np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
-    assert files.rms_off_m(out) < 0.15  # as where --distance says the scale
+    assert load_rig(again).in_metres == (unit == "m")
