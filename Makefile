@@ -73,12 +73,12 @@ AXE := axe-core@4.14.1
 
 browser: .venv/.ready ## Playwright, Chromium and axe, with which `make test` looks at the pages
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input $(PLAYWRIGHT) 2>/dev/null \
-		|| echo 'make browser: $(PLAYWRIGHT) cannot be installed' >&2
+		|| { echo 'make browser: $(PLAYWRIGHT) cannot be installed' >&2; exit 1; }
 	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] || sudo=sudo; \
 		$$sudo apt-get -qq install --no-install-recommends chromium >/dev/null 2>&1; } \
-		|| echo 'make browser: chromium cannot be installed' >&2
+		|| { echo 'make browser: chromium cannot be installed' >&2; exit 1; }
 	@mkdir -p out && npm install --silent --no-fund --no-audit --prefix out $(AXE) >/dev/null 2>&1 \
-		|| echo 'make browser: $(AXE) cannot be installed' >&2
+		|| { echo 'make browser: $(AXE) cannot be installed' >&2; exit 1; }
 
 audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audit (needs a network)
 	@.venv/bin/python -m venv --clear out/audit

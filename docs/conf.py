@@ -1,5 +1,6 @@
 """How Sphinx builds the pages, the executed tour and the API reference: `make docs`."""
 
+import logging
 import re
 import sys
 from pathlib import Path
@@ -27,15 +28,16 @@ html_title = project
 html_copy_source = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_js_files = ["figures.js"]
+html_js_files = ["site.js"]
+html_show_copyright = False
+html_show_search_summary = False  # it is fetched, which browsers forbid to pages on a disk
 python_maximum_signature_line_length = 90
 myst_heading_anchors = 3
 default_role = "code"
 napoleon_google_docstring = False
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-# Docstrings are plain words, not reStructuredText, and `ssac` offers names of its modules again.
-suppress_warnings = ["docutils", "ref.python"]
+suppress_warnings = ["ref.python"]  # `ssac` offers names of its modules again
 sphinx_gallery_conf = {  # runs the tour; an error in it ends the build
     "examples_dirs": ["docs/tour"],
     "gallery_dirs": ["docs/generated/tour"],
@@ -46,6 +48,8 @@ sphinx_gallery_conf = {  # runs the tour; an error in it ends the build
     "write_computation_times": False,
 }
 autodoc_default_options = {"members": True}
+
+logging.getLogger("OpenGL").setLevel(logging.WARNING)
 
 API = "docs/generated/api"
 CHAPTERS = {
@@ -81,8 +85,16 @@ def write_reference(app: Sphinx) -> None:
     (target / "index.rst").write_text(f"{head}\n   {listed}\n")
 
 
-def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
-    """Append the navigation to the README."""
+def linked(text: str) -> str:
+    """Make links of pages that a plain text names."""
+    return re.sub(r"(`?)\bdocs/(\w+)\.md\1", r":doc:`/docs/\2`", text)
+
+
+def complete(app: Sphinx, page: str, source: list[str]) -> None:
+    """Call linked pages by their titles, and append the navigation to the README."""
+    if page.startswith("docs/generated"):
+        source[0] = linked(source[0])
+    source[0] = re.sub(r"\[[\w./]+\.md\]\(", "[](", source[0])
     if page == root_doc:
         for caption, pages in CHAPTERS.items():
             lines = ["```{toctree}", ":hidden:", f":caption: {caption}", "", *pages.split(), "```"]
@@ -93,7 +105,7 @@ def plain(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
     """Take a docstring as plain words: markup only in `code`, and indented blocks as they are."""
-    text = "\n".join(lines)
+    text = linked("\n".join(lines))
     summary, *sections = re.split(r"(?m)^(?=\w+\n---+$)", text, maxsplit=1)
     blocks = re.split(r"(?m)(\A|\n\n)((?:^ {4}.*\n*)+)", summary)
     for n in range(0, len(blocks), 3):  # text, what is before a block, the block
@@ -126,7 +138,8 @@ def short_signature(
 
 def with_comments_of_fields(analyzer: ModuleAnalyzer, source: str, *names: str) -> None:
     """Read a module; what stands behind a dataclass's field, as a comment, is that field's text."""
-    commented = re.sub(r"(?m)^( {4}\w+: .*?)  # (?!type:|noqa|fmt:)", r"\1  #: ", source)
+    comment = r"(?m)^( {4}\w+: .*?)  # (?:type: \S+ # )?(?!type:|noqa|fmt:)"
+    commented = re.sub(comment, r"\1  #: ", source)
     read_module(analyzer, commented, *names)
 
 
@@ -139,5 +152,5 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", short_signature)
     app.connect("build-finished", take_page)
     app.connect("builder-inited", write_reference)
-    app.connect("source-read", add_contents)
+    app.connect("source-read", complete)
     app.connect("autodoc-process-docstring", plain, priority=400)

@@ -1,14 +1,16 @@
 """The HTML pages in a real browser: no message, no network, all by keyboard, and for all readers.
 
-`make browser` installs what they need: Playwright's Python package, Chromium and axe. Where one is
-missing they are skipped, with the reason.
+`make browser` installs what they need: Playwright's Python package, Chromium and axe; `make docs`
+builds the site. What is missing is skipped, with the reason, or fails where SSAC_BROWSER is
+"required", as in `.ci/run`.
 """
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -21,17 +23,42 @@ from tests.experiments.reported import made_up_runs, record_flight, write_result
 from tests.ssac.synthetic import HEIGHT, WIDTH, K
 from tests.ssac.tracks import frame_track
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: make browser")
+
+def missing(what: str, command: str = "browser") -> NoReturn:
+    """Skip, or fail where all could be installed."""
+    reason = f"needs {what}: make {command}"
+    if os.environ.get("SSAC_BROWSER") == "required":
+        pytest.fail(reason)
+    pytest.skip(reason, allow_module_level=True)
+
+
+try:
+    from playwright import sync_api as playwright
+except ImportError:
+    missing("Playwright")
+
+ROOT = Path(__file__).parents[1]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-AXE = Path(__file__).parents[1] / "out/node_modules/axe-core/axe.min.js"
+AXE = ROOT / "out/node_modules/axe-core/axe.min.js"
+DOCS = ROOT / "out/docs"
 SCREENS = [(width, scheme) for width in (1400, 400) for scheme in ("light", "dark")]
 KINDS = ("answered", "refused", "several", "results")
+SITE = {
+    "index": "index.html",
+    "sync": "docs/sync.html",
+    "tour": "docs/generated/tour/tour.html",
+    "reference": "docs/generated/api/ssac.search.html",
+    "tables": "results/README.html",
+    "search": "search.html?q=refusal",
+}
+LOOKS = [(kind, *screen) for kind in KINDS for screen in SCREENS]
+LOOKS += [(kind, *screen) for kind in SITE for screen in (SCREENS[0], SCREENS[-1])]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
-        pytest.skip("needs Chromium: make browser")
+        missing("Chromium")
     with playwright.sync_playwright() as running:
         arguments = ["--no-sandbox"] if os.geteuid() == 0 else []  # as in a container
         browser = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
@@ -50,10 +77,9 @@ def pages(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]
     refused = ssac.sync(pair[0], folder / "few.h5", rig)
     assert not refused.has_offset
     refused.report(found["refused"])
-    tracks = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    for k, track in enumerate(tracks):
-        save_track(track, frame_track(recorded.scene, min(k + 1, 2), 30.0 + k))
-    ssac.sync(tracks, [Camera(K, WIDTH, HEIGHT)] * 3).report(found["several"])
+    save_track(folder / "cam3.csv", frame_track(recorded.scene, 2, 30.0))
+    several = ssac.sync([*pair, folder / "cam3.csv"], [Camera(K, WIDTH, HEIGHT)] * 3)
+    several.report(found["several"])
     record_flight(folder / "flight")
     write_results(folder, made_up_runs(flights=2))
     page = report_page(read_results(folder), make_animation(folder / "flight"))
@@ -62,9 +88,11 @@ def pages(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]
 
 
 class Opened:
-    """A page in the browser, and what it said and asked for since."""
+    """A page in the browser, and what it said since, and asked for that is not its own."""
 
-    def __init__(self, browser: Any, page: Path, width: int = 1400, **looks: str) -> None:
+    def __init__(
+        self, browser: Any, address: str, own: str, width: int = 1400, **looks: str
+    ) -> None:
         # Without its own policy, under which axe could not be put into it.
         self.context = browser.new_context(
             viewport={"width": width, "height": 900}, bypass_csp=True, **looks
@@ -73,13 +101,18 @@ class Opened:
         self.messages: list[str] = []
         self.page.on("console", lambda message: self.messages.append(message.text))
         self.page.on("pageerror", lambda error: self.messages.append(str(error)))
+        self.own = "data:", "blob:", own
         self.page.on("request", self._asked)
-        self.page.goto(page.as_uri())
-        self.page.wait_for_selector("#player[data-ready]", state="attached")
+        self.page.goto(address)
 
     def _asked(self, request: Any) -> None:
-        if not request.url.startswith(("data:", "blob:", "file:")):
+        if not request.url.startswith(self.own):
             self.messages.append(request.url)
+
+    def unfold(self) -> None:
+        self.page.evaluate(
+            "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
+        )
 
     def part(self, name: str) -> Any:
         return self.page.locator(f'[data-part="{name}"]')
@@ -96,7 +129,13 @@ def opened(browser: Any, pages: dict[str, Path]) -> Iterator[Any]:
     made: list[Opened] = []
 
     def make(kind: str, **screen: Any) -> Opened:
-        made.append(Opened(browser, pages[kind], **screen))
+        if kind in SITE:
+            if not (DOCS / "index.html").exists():
+                missing("the site", "docs")
+            made.append(Opened(browser, f"{DOCS.as_uri()}/{SITE[kind]}", DOCS.as_uri(), **screen))
+        else:
+            made.append(Opened(browser, pages[kind].as_uri(), pages[kind].as_uri(), **screen))
+            made[-1].page.wait_for_selector("#player[data-ready]", state="attached")
         return made[-1]
 
     yield make
@@ -114,7 +153,7 @@ def test_the_player_runs_without_a_message_or_a_request(kind: str, opened: Any) 
     if play.inner_text() == "Pause":  # the page of results plays by itself
         play.click()
     before = time.input_value()
-    play.click()
+    play.press("Space")
     page.page.wait_for_function(
         "before => document.querySelector('[data-part=\"time\"]').value !== before", arg=before
     )
@@ -137,6 +176,7 @@ def test_the_player_runs_without_a_message_or_a_request(kind: str, opened: Any) 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> None:
     page = opened(kind)
+    page.unfold()
     controls = page.page.locator("button:visible, input:visible, select:visible, summary:visible")
     wanted, reached = controls.count(), set[str]()
     name = """() => { const one = document.activeElement;
@@ -159,21 +199,46 @@ def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> 
     assert page.messages == []
 
 
-@pytest.mark.parametrize(("width", "scheme"), SCREENS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "width", "scheme"), LOOKS)
 def test_all_readers_can_read_it(kind: str, width: int, scheme: str, opened: Any) -> None:
     if not AXE.exists():
-        pytest.skip("needs axe: make browser")
+        missing("axe")
     # What moves would be drawn anew all the while that axe looks at it.
     page = opened(kind, width=width, color_scheme=scheme, reduced_motion="reduce")
-    page.page.evaluate(
-        "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
-    )
+    page.unfold()
+    assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.messages == []
     page.page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    # Without reading the styles again, which is forbidden to pages on a disk.
+    found = page.page.evaluate("axe.run(document, { resultTypes: ['violations'], preload: false })")
     said = [
         f"{one['id']}: {one['nodes'][0]['html'][:200]}: {one['nodes'][0]['failureSummary']}"
         for one in found["violations"]
     ]
     assert said == []
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_a_search_begins_with_the_page_that_answers(opened: Any) -> None:
+    page = opened("search")
+    page.page.get_by_text("Search finished").wait_for()
+    found = page.page.locator("#search-results li a")
+    assert (found.first.get_attribute("href") or "").startswith("docs/refusal.html")
+    assert page.messages == []
+
+
+@pytest.mark.parametrize("kind", ["index", "tour"])
+def test_a_figure_opens_and_closes_by_keyboard(kind: str, opened: Any) -> None:
+    page = opened(kind)
+    page.page.locator("button.figure").first.press("Enter")
+    dialog = page.page.locator("dialog")
+    dialog.wait_for()
+    page.page.keyboard.press("Escape")
+    dialog.wait_for(state="detached")
+    # Links are called by the titles of their pages.
+    assert not re.search(r"\bdocs/\w+\.md\b", page.page.locator("article").inner_text())
+
+
+def test_nothing_is_skipped_where_all_could_be_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SSAC_BROWSER", "required")
+    with pytest.raises(pytest.fail.Exception, match="make browser"):
+        missing("axe")

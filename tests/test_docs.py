@@ -2,6 +2,7 @@
 
 import re
 import runpy
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from docs import example, track_video
+import ssac
+from docs import conf, example, track_video
 from ssac.pipeline import retries
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,6 +72,18 @@ def test_the_readme_shows_what_its_commands_and_its_python_print(tmp_path, monke
     printed = f"$ {example.SIMULATE}\n{simulated}$ {example.SYNC}\n{summary}"
     # Digits depend on the GL library, so only the words are compared.
     assert _words(example.shown_in(readme)) == _words(printed), "run docs/example.py"
+
+
+@pytest.mark.parametrize("name", [one for one in ssac.__all__ if is_dataclass(getattr(ssac, one))])
+def test_the_reference_says_what_each_field_is(name: str) -> None:
+    one = getattr(ssac, name)
+    said = {
+        field
+        for base in one.__mro__[:-1]
+        for owner, field in conf.ModuleAnalyzer.for_module(base.__module__).find_attr_docs()
+        if owner == base.__qualname__
+    }
+    assert {field.name for field in fields(one)} <= said
 
 
 def _words(text: str) -> list[str]:

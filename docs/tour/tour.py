@@ -75,13 +75,15 @@ print(result.report("report.html"))
 import matplotlib.pyplot as plt
 import numpy as np
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
-left.plot(1e3 * estimate.candidates_s, estimate.costs, ".-", markersize=3)
+from experiments.drawing.events import CAMERAS
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), dpi=200, layout="constrained")
+left.plot(1e3 * estimate.candidates_s, estimate.costs, ".-", color="black", markersize=3)
 left.axvline(1e3 * truth.t_d_s, color="0.5", linestyle="--")
 left.set(xlabel="candidate offset [ms]", ylabel="mean epipolar distance [px]")
-for name, camera in (("camera 1", cam1), ("camera 2", cam2)):
+for name, camera, color in zip(("camera 1", "camera 2"), (cam1, cam2), CAMERAS, strict=True):
     some = camera.events[:: len(camera.events) // 4000]
-    right.plot(some["t"] / 1e6, some["y"], ".", markersize=1, label=name)
+    right.plot(some["t"] / 1e6, some["y"], ".", color=color, markersize=1, label=name)
 right.invert_yaxis()
 right.set(xlabel="time on the camera's own clock [s]", ylabel="image row of events [px]")
 legend = right.legend(markerscale=10)

@@ -176,7 +176,7 @@ def _growth(comparison: pd.DataFrame) -> Table:
         for who, column in (("ours", "ours_mean"), ("paper", "published_mean")):
             values = [number(value, 0) for value in means[column]]
             rows.append([method, f"{duration_s:g} s", who, *values])
-    return Table(["method", "flights", "", *angles], rows)
+    return Table(["method", "flights", "whose", *angles], rows)
 
 
 def _flights(
