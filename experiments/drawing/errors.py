@@ -2,21 +2,22 @@
 
 Of the tables each figure has a row of axes for each error and a column for each duration; a marker
 is the mean over flights and offsets. Of an ablation a row is a method and a column an error, with
-one line for each angle or whatever else the grid varies. Runs that failed have no error: a mean of
-the others is hollow.
+one line for each angle or whatever else the grid varies. Runs that were refused have no error: a
+mean of the others is hollow.
 """
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.drawing.style import (
+    PAPER,
     STANDARD_ERROR,
     SURVIVORS,
     Axes,
@@ -40,34 +41,31 @@ from ssac.config import N_MIN
 REFINED = ("ssac", "joint", "tangency")
 """Methods without the extrinsics, from the paper's on; each starts from the one before."""
 
-FAILED = "failed"
+REFUSED = "refused runs [%]"
 
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ANGLE_STEP_DEG = 30.0  # at most
-_PAPER = Look("#555555", "*")
 _THRESHOLD = 1.0  # of each error, in its unit: the largest of the success curves
-_MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
 
 # Of an ablation's line, by the parameter that it stands for.
 _NAMES = {
     "sim.angle_deg": "{:g} deg",
     "sim.spline.duration_s": "{:g} s",
-    "sim.drone": "{}",
-    "sim.t_d_s": "offset {:g} s",
     "ssac.rules.tangency.joins_body": "body joined: {}",
 }
 _MARKERS = "osD^vPX"
-_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
+_STEP = 0.03  # of the axis, between neighbouring lines of an ablation: none covers another
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
 _MAX_VALUES = 6  # of the parameter, all of which are written below the axis
-_SHORT = 10.0**1.6  # largest over least up to which an axis is labelled at 1, 2 and 5
 
 
-def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
+def error_figure(
+    runs: pd.DataFrame, published: Mapping[float, pd.DataFrame], what: str = "Simulation"
+) -> Figure:
     """Draw the errors of all methods, single runs and means, beside the paper's.
 
-    `published` has the paper's table of each duration [s].
+    `published` has the paper's table of each duration [s]; `what` is the experiment.
     """
     angles_deg = sorted(runs["angle_deg"].unique())
     step_deg = float(np.diff(angles_deg).min(initial=_ANGLE_STEP_DEG))
@@ -99,18 +97,21 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
     labelled = {}
     for method, look in looks.items():
         own = runs[runs["method"] == method]
-        failed = int((own["status"] != "ok").sum())
-        labelled[f"{method} ({failed} of {len(own)} failed)" if failed else method] = look
+        refused = int((own["status"] != "ok").sum())
+        labelled[f"{method} ({refused} of {len(own)} refused)" if refused else method] = look
     marks = _marks(
         labelled,
         0.8,
-        ("the paper's mean", {"marker": "*", "ls": ":", "ms": 9}),
+        ("the paper's mean", PAPER),
         STANDARD_ERROR,
-        ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
+        (
+            f"a single run; at {_LEAST:g} if below",
+            {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0},
+        ),
         *_survivors(runs),
     )
     ratios = {"height_ratios": (1.7, 1.0, 1.0)}
-    title = "Mean errors of all methods, beside the paper's"
+    title = f"{what}: mean errors of all methods, beside the paper's"
     return _error_grid(title, runs, 10.0, draw, marks, 0.85 * _LEAST, **ratios)
 
 
@@ -120,15 +121,16 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
     A method without runs is left out.
     """
     methods = [method for method in REFINED if method in set(runs["method"])]
-    looks = method_looks(methods)
+    looks = method_looks([*REFINED])
     ends: dict[str, list[float]] = {error: [] for error in ERRORS}
 
     def draw(axes: Axes, duration_s: float, part: pd.DataFrame, error: Quantity) -> None:
         """Draw means, the paper's first and the methods' beside it, in order."""
-        axes.axhline(error.mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
+        axes.axhline(error.mark, color=looks["tangency"].color, lw=1.0, ls="--", zorder=1)
         paper = published_means(published, duration_s, "ssac", error.column)
         if paper is not None:
-            _draw_bars(axes, paper, _PAPER, -0.5 * _SPREAD_DEG * len(REFINED), ls=":")
+            look = replace(looks["ssac"], marker="*")
+            _draw_bars(axes, paper, look, -0.5 * _SPREAD_DEG * len(REFINED), ls=":")
         ours = {m: flight_means(part[part["method"] == m], error.column) for m in methods}
         for place, (method, means) in enumerate(ours.items(), start=1):
             _draw_bars(axes, means, looks[method], _SPREAD_DEG * (place - 0.5 * len(REFINED)))
@@ -140,11 +142,12 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
             within += [*lower, *(means["mean"] + means["standard_error"])]
         axes.set_ylim(0.9 * min(within), 1.1 * max(within))
 
-    first = ("the paper", {"color": _PAPER.color, "marker": "*", "ls": ":", "ms": 9})
-    mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
+    first = ("the paper's ssac", {"color": looks["ssac"].color, **PAPER})
+    mark = ("mark for tangency", {"color": looks["tangency"].color, "ls": "--", "lw": 1.0})
     others = STANDARD_ERROR, mark, *_survivors(runs[runs["method"].isin(methods)])
     title = "Mean errors of each refinement, beside the paper's"
-    return _error_grid(title, runs, 8.4, draw, [first, *_marks(looks, 1.2, *others)])
+    ours = {method: looks[method] for method in methods}
+    return _error_grid(title, runs, 8.4, draw, [first, *_marks(ours, 1.2, *others)])
 
 
 def _survivors(runs: pd.DataFrame) -> list[Named]:
@@ -172,7 +175,8 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
             axes.plot(x, bounds, ls="none", marker="_", ms=8, mew=1.8, color=look.color, zorder=3)
             axes.plot(x, errors, ls="none", ms=5, zorder=4, **look.style)
 
-    rms = ("root mean square error", {"marker": "o", "ms": 5, "lw": 0})
+    said = f"root mean square error of up to {cells['n_runs'].max()} flights"
+    rms = (said, {"marker": "o", "ms": 5, "lw": 0})
     bound = ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0})
     title = "Errors, and the least that the flights' noise allows"
     return _error_grid(title, cells, 8.4, draw, _marks(looks, 0, rms, bound))
@@ -185,9 +189,11 @@ def success_figure(runs: pd.DataFrame) -> Figure:
     """
     looks = method_looks(method_order(runs["method"]))
     durations_s = sorted(runs["duration_s"].unique())
-    title = "Runs within a threshold, and the area under each curve (AUC)"
+    most = f"{_THRESHOLD:g} ms or deg"
+    title = f"Runs whose error is below a threshold; area under each curve (AUC) up to {most}"
     shape = len(ERRORS), len(durations_s)
     figure, grid = panels(title, 9.0, *shape, sharex="row", sharey=True)
+    widths = dict(zip(looks, np.linspace(2.4, 0.8, len(looks)), strict=True))  # the last on top
     for row, error in zip(grid, ERRORS.values(), strict=True):
         for axes, duration_s in zip(row, durations_s, strict=True):
             part = runs[runs["duration_s"] == duration_s]
@@ -195,16 +201,18 @@ def success_figure(runs: pd.DataFrame) -> Figure:
                 of, there = part[part["method"] == method], runs["method"] == method
                 if runs.loc[there, error.column].isna().all():
                     continue  # it gives none
-                ok = np.sort(_with_error(of, error)[error.column].to_numpy(np.float64))
-                shares = 100.0 * np.arange(len(ok) + 1) / max(len(of), 1)
-                left = np.clip(1.0 - ok / _THRESHOLD, 0.0, None).sum() / max(len(of), 1)
+                errors = np.sort(_with_error(of, error)[error.column].to_numpy(np.float64))
+                below = errors[errors < _THRESHOLD]
+                shares = 100.0 * np.arange(len(below) + 1) / max(len(of), 1)
+                left = (1.0 - below / _THRESHOLD).sum() / max(len(of), 1)
                 axes.step(
-                    [0.0, *ok, max(_THRESHOLD, *ok[-1:])], [*shares, shares[-1]], where="post",
-                    ls="--" if look.is_known else "-", color=look.color, lw=1.3,
+                    [0.0, *below, _THRESHOLD], [*shares, shares[-1]], where="post",
+                    ls="--" if look.is_known else "-", color=look.color, lw=widths[method],
                     label=f"{method} {100.0 * left:.1f}",
                 )  # fmt: skip
             axes.set(xlim=(0.0, _THRESHOLD), ylim=(0.0, 102.0))
-            axes.legend(fontsize=7, loc="center right", title="AUC [%]", title_fontsize=7)
+            axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False,
+                        title="AUC [%]", title_fontsize=7)  # fmt: skip
             axes.set_xlabel(error.label)
         row[0].set_ylabel("runs [%]")
     for axes, duration_s in zip(grid[0], durations_s, strict=True):
@@ -231,8 +239,7 @@ def _error_grid(
             axes.set(yscale="log", xticks=angles_deg)
             if bottom is not None:
                 axes.set_ylim(bottom=bottom)
-            # All are within a decade or two, but for those of t_d of all methods.
-            label_log_axis(axes.yaxis, bottom is None or error is not T_D_ERROR)
+        label_log_axis(row[0].yaxis)
         row[0].set_ylabel(error.label)
     for column, duration_s in zip(grid.T, durations_s, strict=True):
         column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
@@ -247,19 +254,18 @@ def _columns(methods: Sequence[str], width_deg: float) -> list[tuple[str, float]
     return [(method, width_deg * ((k + 0.5) / n - 0.5)) for k, method in enumerate(methods)]
 
 
-def flight_means(runs: pd.DataFrame, error: str) -> pd.DataFrame:
+def flight_means(runs: pd.DataFrame, error: str, by: str = "angle_deg") -> pd.DataFrame:
     """Mean error by angle over all runs that are "ok", its standard error, and how many runs.
 
-    All offsets of a flight share its recording, so a flight counts once in the standard error.
+    All offsets of a flight share its recording, so a flight, of which each has a seed of its own,
+    counts once in the standard error, which is NaN of a single one.
     """
     ok = _with_error(runs, ERRORS[error])
-    of_flight = ok.groupby(["angle_deg", "flight"])[error].mean().groupby("angle_deg")
-    standard_error = of_flight.std(ddof=0) / np.sqrt(of_flight.size())
-    by_angle = ok.groupby("angle_deg")[error]
-    n_runs = runs.groupby("angle_deg").size().reindex(standard_error.index)
+    by_place = ok.groupby(by)[error]
     return pd.DataFrame({
-        "mean": by_angle.mean(), "standard_error": standard_error,
-        "answered": by_angle.size(), "runs": n_runs,
+        "mean": by_place.mean(),
+        "standard_error": ok.groupby([by, "seed"])[error].mean().groupby(by).sem(),
+        "answered": by_place.size(), "runs": runs.groupby(by).size(),
     })  # fmt: skip
 
 
@@ -295,10 +301,10 @@ def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:
 
 
 def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **style: Any) -> None:
-    """Draw means by angle, a line through them, and their standard errors."""
+    """Draw means by angle, or by what else is below, a line, and their standard errors."""
     x, marks = means.index.to_numpy(np.float64) + shift_deg, {"ms": 5, **look.style}
     if look.marker == "*":
-        marks["ms"] = 9
+        marks["ms"] = PAPER["ms"]
     style = {"ls": "-", "lw": 1.2, "elinewidth": 1.0, "zorder": 3, **style}
     axes.errorbar(x, means["mean"], means["standard_error"], **marks, **style)
     if "runs" in means:
@@ -311,44 +317,63 @@ def _marks(looks: Mapping[str, Look], width: float, *others: Named) -> list[Name
     return [*of_looks, *others]
 
 
-def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
-    """Draw an ablation of its means, one row for each point of the grid and method."""
+def ablation_figure(runs: pd.DataFrame, grid: GridConfig) -> Figure:
+    """Draw an ablation of its runs: a row for each method, a line for each value of what varies.
+
+    The offsets of a flight are pooled. Where two parameters vary beside the one on which x moves,
+    a row is for each value of the second, a line for each method, and the first is pooled.
+    """
     look = grid.figure
     assert look is not None
     # Each axis of the grid, but for the one on which x moves, by its first parameter.
     others = [next(iter(axis[0])) for axis in grid.axes if look.x not in axis[0]]
-    methods = method_order(means["method"])
-    labels = {
-        name: error.label for name, error in ERRORS.items() if means[f"{name}_mean"].notna().any()
-    }
-    if (means[FAILED] > 0).any():
-        labels[FAILED] = "failed runs [%]"
-    shape = len(methods), len(labels)
+    others = [name for name in others if name != "sim.t_d_s"] or ["sim.angle_deg"]
+    row_of, line_of = ("method", others[0]) if len(others) == 1 else (others[-1], "method")
+    runs = runs.assign(**{look.x: look.scale * runs[look.x]})
+    labels = {name: error.label for name, error in ERRORS.items() if runs[name].notna().any()}
+    if (runs["status"] != "ok").any():
+        labels[REFUSED] = REFUSED
+    lines, row_values = _lines(runs, line_of), _values(runs, row_of)
+    shape = len(row_values), len(labels)
     figure, rows = panels("", 1.4 + 2.0 * shape[0], *shape, sharex=True, sharey="col")
-    lines = _lines(means, others)
-    for row, method in zip(rows, methods, strict=True):
+    for row, value in zip(rows, row_values, strict=True):
         for axes, quantity in zip(row, labels, strict=True):
-            for part, style in lines.values():
-                _draw_line(axes, part[part["method"] == method], look, quantity, style)
-        row[0].set_ylabel(method, weight="bold")
-    for axes, (quantity, label) in zip(rows[0], labels.items(), strict=True):
-        axes.set_title(label, fontsize=10)
-        _set_scales(axes, means, look, quantity)
-    default = look.scale * default_value(look.x)
-    on_axis = default > 0.0 or not look.log
-    for axes in rows.flat if on_axis else ():
-        axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
+            for k, (name, line_look) in enumerate(lines.items()):
+                of = runs[(runs[row_of] == value) & (runs[line_of] == name)]
+                aside = _STEP * (k - 0.5 * (len(lines) - 1))
+                _draw_line(axes, of, look, quantity, line_look, aside)
+        row[0].set_ylabel(_value_name(row_of, value), weight="bold")
+    for column, (quantity, label) in zip(rows.T, labels.items(), strict=True):
+        column[0].set_title(label, fontsize=10)
+        _set_scales(column, runs, look, quantity)
     figure.supxlabel(look.label, fontsize=10)
-    said = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
+    at_point = runs.assign(ok=runs["status"] == "ok").groupby([row_of, line_of, look.x])
+    n_flights, is_ok = int(at_point["seed"].nunique().max()), at_point["ok"].mean()
+    named = {_value_name(line_of, value): of for value, of in lines.items()}
     marks = [
-        *((name, {"lw": 1.2, "ms": 4.5, **style}) for name, (_, style) in lines.items()),
-        (said, {"color": "0.4", "ls": "--" if on_axis else "none"}),
-        STANDARD_ERROR,
-        *([SURVIVORS] if FAILED in labels else []),
+        *_marks(named, 1.2, *_default(rows, look)),
+        *([STANDARD_ERROR] if n_flights > 1 else []),
+        *([SURVIVORS] if is_ok.between(0.0, 1.0, inclusive="neither").any() else []),
     ]
-    above = {"loc": "outside upper center", "title": grid.title, "title_fontsize": 12}
+    what = f"Mean errors of {n_flights} flights" if n_flights > 1 else "Errors of one flight"
+    what += " at all angles" if "sim.angle_deg" in others[:-1] else ""  # pooled
+    title = f"{what}: {grid.title[0].lower()}{grid.title[1:]}"
+    above = {"loc": "outside upper center", "title": title, "title_fontsize": 12}
     legend_outside(figure, 3 if len(marks) <= 6 else 4, marks, **above)
     return figure
+
+
+def _default(rows: Any, look: FigureConfig) -> list[Named]:
+    """Draw the default of what varies, and name it: an angle, of which all are filmed, has none."""
+    if look.x == "sim.angle_deg":
+        return []
+    default, units = look.scale * default_value(look.x), re.findall(r"\[(\w+)\]", look.label)
+    said = " ".join(["default:", f"{default:g}", *units[:1]])
+    if look.log and default <= 0.0:
+        return [(f"{said}, not on this axis", {"ls": "none"})]
+    for axes in rows.flat:
+        axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
+    return [(said, {"color": "0.4", "ls": "--"})]
 
 
 def default_value(name: str) -> float:
@@ -362,66 +387,68 @@ def default_value(name: str) -> float:
     return float(reduce(getattr, path, roots[root]))
 
 
-def _lines(
-    means: pd.DataFrame, others: list[str]
-) -> dict[str, tuple[pd.DataFrame, dict[str, Any]]]:
-    """Split the means by the other parameters: rows and look of each line, by what it is of."""
-    if not others:
-        return {"mean": (means, {"color": value_color("", 0, 0.0), "marker": "o", "ls": "-"})}
-    parts = list(means.groupby(others, sort=True))
-    n_inner = means[others[1]].nunique() if len(others) == 2 else 1
-    places = np.linspace(0.0, 1.0, len(parts) // n_inner)
-    lines = {}
-    for k, (key, part) in enumerate(parts):
-        outer, inner = divmod(k, n_inner)
-        kind = outer if n_inner == 1 else inner  # the first sets the marker where it is alone
-        look = {
-            "color": value_color(others[0], key[0], places[outer]),
-            "marker": _MARKERS[kind % len(_MARKERS)],
-            "ls": _DASHES[inner % len(_DASHES)],
-        }
-        lines[", ".join(map(_line_name, others, key))] = part, look
-    return lines
+def _values(runs: pd.DataFrame, name: str) -> list[Any]:
+    """List the values of a column, those of methods in the registry's order."""
+    return method_order(runs[name]) if name == "method" else [*runs[name].unique()]
 
 
-def _line_name(name: str, value: Any) -> str:
-    """Say in words which value of a parameter a line is of."""
+def _lines(runs: pd.DataFrame, name: str) -> dict[Any, Look]:
+    """Give each value of a parameter, or each method, the look of its line."""
+    values = _values(runs, name)
+    if name == "method":
+        return method_looks(values)
+    of = zip(values, np.linspace(0.0, 1.0, len(values)), cycle(_MARKERS), strict=False)
+    return {value: Look(value_color(name, value, place), marker) for value, place, marker in of}
+
+
+def _value_name(name: str, value: Any) -> str:
+    """Say in words which value of a parameter it is."""
     if name == "sim.background_files":  # a list, as text
         return ", ".join(re.findall(r"([\w-]+)\.\w+", str(value))) or "even sky"
-    return _NAMES.get(name, f"{name} = {{}}").format(value)
+    return _NAMES.get(name, "{}").format(value)
 
 
 def _draw_line(
-    axes: Axes, rows: pd.DataFrame, look: FigureConfig, quantity: str, style: dict[str, Any]
+    axes: Axes, runs: pd.DataFrame, of: FigureConfig, quantity: str, look: Look, aside: float
 ) -> None:
-    """Draw means and their standard errors, which on a mean of errors never reach zero."""
-    rows = rows.sort_values(look.x)
-    x = look.scale * rows[look.x].to_numpy(np.float64)
-    if quantity == FAILED:
-        axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **style)
-    elif rows[f"{quantity}_mean"].notna().any():
-        n_ok = (rows["n_runs"] - rows[FAILED]).to_numpy(np.float64)
-        mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in ("mean", "std"))
-        error = std / np.sqrt(n_ok.clip(min=1))
-        axes.errorbar(x, mean, error, lw=1.2, ms=4.5, elinewidth=0.9, **style)
-        mark_survivors(axes, x, mean, n_ok, rows["n_runs"], ms=4.5, **style)
+    """Draw means and their standard errors, or bars of how many runs were refused.
+
+    All is moved aside by a share of the axis.
+    """
+    found = flight_means(runs, T_D_ERROR.column if quantity == REFUSED else quantity, of.x)
+    x = found.index.to_numpy(np.float64)
+    if of.log:
+        found.index = pd.Index(x * (x.max() / x.min()) ** aside)
+    else:
+        found.index = pd.Index(x + aside * np.ptp(x))
+    if quantity == REFUSED:
+        refused = 100.0 * (1.0 - found["answered"].fillna(0.0) / found["runs"])
+        axes.vlines(found.index, 0.0, refused, color=look.color, lw=3.0)
+    elif runs[quantity].notna().any():
+        _draw_bars(axes, found, look, 0.0)
 
 
-def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
-    """Set both axes; those of a column share them."""
+def _set_scales(column: Any, runs: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
+    """Set both axes of a column, which shares them: bars of errors may end below what is shown."""
     from matplotlib.ticker import NullLocator
 
-    values = look.scale * np.unique(means[look.x].to_numpy(np.float64))
+    axes, values = column[0], np.unique(runs[look.x].to_numpy(np.float64))
     if look.log:
         axes.set_xscale("log")
-        label_log_axis(axes.xaxis, values.max() < _SHORT * values.min())
+        label_log_axis(axes.xaxis, 2)  # more would touch each other
     if len(values) <= _MAX_VALUES:
         axes.set_xticks(values)
         axes.xaxis.set_minor_locator(NullLocator())
         axes.tick_params("x", labelsize=7)
-    found = means[FAILED if quantity == FAILED else f"{quantity}_mean"]
-    if quantity == FAILED or found.max() < _LOG_FROM * found.min():
+    if quantity == REFUSED:
+        axes.set_ylim(0.0, 105.0)
+        return
+    drawn = [bars.lines[0].get_ydata() for one in column for bars in one.containers]
+    means = np.concatenate(drawn)
+    least, most = np.nanmin(means), np.nanmax(means)
+    if most < _LOG_FROM * least:
         axes.set_ylim(bottom=0.0)
     else:
         axes.set_yscale("log")
-        label_log_axis(axes.yaxis, found.max() < _SHORT * found.min())
+        axes.set_ylim(bottom=0.6 * least)
+        label_log_axis(axes.yaxis)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from experiments.drawing.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
 from ssac.arrays import Array
 from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
@@ -63,6 +63,7 @@ DARK: dict[str, Any] = {
 """Colours of the report's player on a dark ground, which suits a light page and a dark one."""
 
 _PALETTE_SIZE = 48
+_ANIMATION_DPI = 150  # half as much again as a page shows it: under 2 MB, to load at once
 _CLOUD = 1500  # events of each camera
 _SHAPE = 0.75  # height of a view over its width
 _MARGIN_PX = 30.0  # between the object's path and the edge of a view
@@ -99,7 +100,7 @@ def preprocessing_figure(chain: Chain) -> Figure:
         f"none where {2e3 * Config.half_window_s:g} ms hold fewer than {N_MIN} events",
     )
     for number, title in enumerate(titles, start=1):
-        box = ((number - 1) / 3.0 - 0.014, 0.04, 0.31, 0.86)
+        box = (0.325 * (number - 1) - 0.02, 0.04, 0.31, 0.86)
         axes: Any = figure.add_axes(box, projection="3d")
         _x_y_t_axes(axes, chain.rig.cameras[0])
         axes.set_title(title, fontsize=9, y=1.02)
@@ -156,7 +157,8 @@ class _Scene:
         self.span_s = start_s, start_s + length_s
         self._answer, self._half_s = answer, answer.config.half_window_s
         self._F = np.asarray(answer.estimate.F)
-        self._figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
+        self._figure = Figure(figsize=(WIDTH_IN, 6.4), dpi=_ANIMATION_DPI)
+        self._figure.set_layout_engine("constrained", h_pad=0.08, w_pad=0.08)
         self._canvas: Any = FigureCanvasAgg(self._figure)
         views, (clouds, curve) = self._figure.subplots(2, 2, height_ratios=(1.6, 1.0))
         self._title = self._figure.suptitle("", weight="bold")
@@ -180,7 +182,7 @@ class _Scene:
         curve.plot(1e3 * offsets_s, d_avg_px(answer, offsets_s), color=grey, lw=2.0)
         (self._at,) = curve.plot([], [], "o", ms=12, color=GAP, zorder=4)
         curve.set(xlabel="offset $t_d$ [ms]", ylabel="[px]", ylim=(0.0, None))
-        curve.set_title("Mean distance from the lines")
+        curve.set_title("Mean distance from the lines", color=GAP)
 
     def _area(self, ends_s: list[tuple[float, float]]) -> tuple[list[Array], float]:
         """Give the middle of each view's area [px], and the half width of both."""
@@ -253,14 +255,14 @@ def d_avg_figure(chain: Chain) -> Figure:
     ):
         n_steps = round(reach_s / step_s)
         offsets_s = step_s * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
-        for (label, d_px), color in zip(
-            d_avg_curves(views, F, offsets_s).items(), (YELLOW, BLUE), strict=True
-        ):
-            axes.plot(per_s * offsets_s, d_px, color=color, lw=1.4, label=label)
+        curves, looks = d_avg_curves(views, F, offsets_s), method_looks(["ssac-known", "ssac"])
+        for (label, d_px), look in zip(curves.items(), looks.values(), strict=True):
+            dashes = "--" if look.is_known else "-"
+            axes.plot(per_s * offsets_s, d_px, color=look.color, ls=dashes, lw=1.4, label=label)
             best = np.nanargmin(d_px)
             place = float(per_s * offsets_s[best]), float(d_px[best])
-            axes.plot(*place, "o", color=color, mec="black", ms=5, zorder=4)
-        axes.axvline(0.0, color="black", lw=0.9, ls="--", label="true offset", zorder=1)
+            axes.plot(*place, mec="black", ms=5, zorder=4, **look.style)
+        axes.axvline(0.0, color="black", lw=0.9, ls=":", label="true offset", zorder=1)
         axes.set_xlim(-per_s * reach_s, per_s * reach_s)
         quiet_axes(axes)
         axes.set(xlabel=f"offset $t_d$ [{unit}]", ylabel="$d_{avg}$ [px]")
@@ -291,7 +293,7 @@ def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> dict[str, Array
 def _x_y_t_axes(axes: Any, camera: Camera) -> None:
     """Show the whole image over time; y points down, as in the image."""
     axes.set(xlim=STRETCH_S, ylim=(0, camera.width), zlim=(camera.height, 0))
-    axes.set_box_aspect((1.6, 1.1, 0.9), zoom=0.96)
+    axes.set_box_aspect((1.6, 1.1, 0.9), zoom=0.92)
     axes.view_init(elev=24, azim=-62)
     axes.set_proj_type("ortho")
     axes.patch.set_visible(False)

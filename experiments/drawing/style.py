@@ -1,8 +1,9 @@
 """Looks that figures share.
 
-Colours of methods are of Okabe and Ito's set, which stays apart for colour-blind people; those of
-cameras and polarities are in `ssac.pipeline.plots`. A method that is given the extrinsics has its
-sibling's colour and a half-filled marker; a hollow one is of a mean over what was not refused.
+A colour stands for one thing. Those of methods are of Okabe and Ito's set, which stays apart for
+colour-blind people, and those of polarities are in `ssac.pipeline.plots`; what is none of these is
+grey, or has one of the colours below. A method that is given the extrinsics has its sibling's
+colour and a half-filled marker; a hollow one is of a mean over what was not refused.
 Matplotlib is imported when a figure is drawn: studies are listed without it.
 """
 
@@ -22,19 +23,27 @@ else:
 WIDTH_IN = 8.0
 """Of every figure; at DPI it is twice as wide as a README shows."""
 
-_LIGHTEST = 0.82  # of a colour map: what follows is too light on white
+ACCENT = "#6F4C9B"
+"""Of a line or a mark that is of no method; what it is held against is grey."""
+
+FILLS = ("#77AADD", "#EE8866", "#EEDD88", "#DDDDDD")
+"""Of bars that are of no method: P. Tol's light set."""
+
 _DURATIONS = {10.0: "#AA3377", 20.0: "#CCBB44"}
 _ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
 
 Named = tuple[str, dict[str, Any]]
 """Words and look of an entry of a legend."""
 
+PAPER: dict[str, Any] = {"marker": "*", "ls": ":", "ms": 9}
+"""Look of the paper's mean, in the colour of its method."""
+
 STANDARD_ERROR: Named = (
     "bar: standard error of the mean",
     {"marker": "|", "ls": "none", "ms": 9, "mew": 1},
 )
 SURVIVORS: Named = (
-    "hollow: mean of so many, others refused",
+    "hollow: mean of so many runs, others refused",
     {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"},
 )
 
@@ -85,30 +94,39 @@ def value_color(name: str, value: Any, place: float) -> Any:
 
     if name == "sim.spline.duration_s" and value in _DURATIONS:
         return _DURATIONS[value]
-    if name == "sim.angle_deg":
-        place = float(np.clip(np.interp(value, _ANGLES_DEG, (0.0, 1.0)), 0.0, 1.0))
-    return colormaps["viridis"](_LIGHTEST * place)
+    if name == "sim.angle_deg":  # the lightest of a map would be too light on white
+        return colormaps["viridis"](np.interp(value, _ANGLES_DEG, (0.0, 0.82)))
+    return colormaps["YlOrBr"](1.0 - 0.6 * place)
 
 
 def mark_survivors(
     axes: Axes, x: ArrayLike, means: ArrayLike, answered: ArrayLike, runs: ArrayLike, **look: Any
 ) -> None:
     """Draw those means hollow that are not over all runs, with the number that they are over."""
+    from matplotlib.patheffects import withStroke
+
     for place, mean, n, of in np.broadcast(x, means, answered, runs):
         if n < of and np.isfinite(mean):
             axes.plot(place, mean, **{**look, "mfc": "white", "ls": "none", "zorder": 5})
-            at: dict[str, Any] = {"xytext": (2.0, 4.0), "textcoords": "offset points"}
-            axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, **at)
+            at: dict[str, Any] = {"xytext": (2.0, 4.0), "textcoords": "offset points", "zorder": 9}
+            halo = withStroke(linewidth=2.0, foreground="white")  # before what lies below it
+            axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, path_effects=[halo], **at)
 
 
-def label_log_axis(axis: Any, is_short: bool = False) -> None:
-    """Write plain numbers, and enough of them, on a logarithmic axis."""
+def label_log_axis(axis: Any, least: int = 3) -> None:
+    """Write plain numbers on a logarithmic axis, at least so many within what it shows."""
     from matplotlib.ticker import LogLocator, NullLocator
 
+    low, high = axis.get_view_interval()
+    for subs in ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
+        locator = LogLocator(subs=subs)
+        ticks = locator.tick_values(low, high)
+        if np.count_nonzero((low <= ticks) & (ticks <= high)) >= least:
+            break
+    axis.set_major_locator(locator)
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter("")
-    if is_short:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    if len(subs) > 1:
         axis.set_minor_locator(NullLocator())
 
 

@@ -37,7 +37,7 @@ _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
 _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
 _ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
-_NOT_OF_CONFIG = ("study", SHARD, "options")
+_NOT_OF_CONFIG = ("study", SHARD, "options", "figure")
 _OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns of which a flight's recording does not depend
 
 _UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
@@ -119,8 +119,10 @@ def provenance_faults(
             yield f"its commit is {commit}: commit the code, then make it again"
         if line.partition(f" --{SHARD}")[0] != command:
             yield f"it was made by `{line}`, expected `{command}`"
-        there = {k: v for k, v in one["config"].items() if k not in _NOT_OF_CONFIG}
-        expected = plain(config)
+        there, expected = (
+            {k: v for k, v in content.items() if k not in _NOT_OF_CONFIG}
+            for content in (one["config"], plain(config))
+        )
         if there != expected:
             both = {*there, *expected}
             wrong = sorted(key for key in both if there.get(key) != expected.get(key))

@@ -83,7 +83,7 @@ def ablation_study(grid: GridConfig, command: str = "") -> Study:
     name, runs = grid.name, f"{grid.name}_runs"
     makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
     if grid.figure is not None:
-        makes.append(made_of(f"{name}.png", partial(ablation_figure, grid=grid), name))
+        makes.append(made_of(f"{name}.png", partial(ablation_figure, grid=grid), runs))
     return Study(
         name, grid.title, grid.cells, SCORED,
         Runs(f"{runs}.csv", (*grid.varied, "flight", "method")), tuple(makes),

@@ -7,13 +7,22 @@ summed up in the benchmark's last rows.
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
+from itertools import product
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import typer
 
-from experiments.drawing.style import Axes, Figure, legend_outside, panels
+from experiments.drawing.style import (
+    ACCENT,
+    Axes,
+    Figure,
+    Named,
+    label_log_axis,
+    legend_outside,
+    panels,
+)
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
@@ -117,28 +126,26 @@ _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 
 def growth_figure(table: pd.DataFrame) -> Figure:
-    """Draw time and memory on logarithmic axes: the smaller sensor's points are hollow."""
-    looks: dict[str, dict[str, Any]] = {SIMULATE: {"color": "#0072B2", "marker": "o"},
-             SYNCHRONISE: {"color": "#000000", "marker": "D"}}  # fmt: skip
+    """Draw time and memory on logarithmic axes: a colour is a step, and a marker a sensor."""
+    colors = {SIMULATE: "0.6", SYNCHRONISE: ACCENT}
     figure, (both,) = panels("How run time and memory grow with the recording", 4.4, columns=2)
+    table = table.assign(events_per_camera=1e-6 * table["events_per_camera"])
     measured = table[table["wall_s"].notna()]
-    sensors = list(dict.fromkeys(measured["sensor"]))
+    markers = dict(zip(dict.fromkeys(measured["sensor"]), "^s", strict=False))
     for axes, (column, label) in zip(both, _WHAT.items(), strict=True):
-        axes.set(xscale="log", yscale="log", xlabel="events of a camera", ylabel=label)
+        axes.set(xscale="log", yscale="log", xlabel="events of a camera [million]", ylabel=label)
         axes.grid(color="0.92", lw=0.6)
         axes.set_axisbelow("line")  # the guide is below the grid
-        for step, look in looks.items():
-            for sensor in sensors:
-                here = measured[(measured["step"] == step) & (measured["sensor"] == sensor)]
-                face = look["color"] if sensor == sensors[-1] else "white"
-                line: dict[str, Any] = {**look, "mfc": face, "ms": 5, "lw": 1.2, "zorder": 3}
-                axes.plot(here["events_per_camera"], here[column], **line)
+        for (step, color), (sensor, marker) in product(colors.items(), markers.items()):
+            here = measured[(measured["step"] == step) & (measured["sensor"] == sensor)]
+            line: dict[str, Any] = {"color": color, "marker": marker, "ms": 5, "lw": 1.2}
+            axes.plot(here["events_per_camera"], here[column], zorder=3, **line)
         if len(measured):
             _draw_guide(axes, measured, column)
-    marks = [(step, {"ms": 5, "lw": 1.2, **look}) for step, look in looks.items()]
-    for sensor in sensors:
-        face = "0.3" if sensor == sensors[-1] else "white"
-        marks.append((sensor, {"marker": "o", "ms": 5, "lw": 0, "mfc": face}))
+            for axis in (axes.xaxis, axes.yaxis):
+                label_log_axis(axis)
+    marks: list[Named] = [(step, {"lw": 1.2, "color": color}) for step, color in colors.items()]
+    marks += [(name, {"marker": of, "ms": 5, "lw": 0}) for name, of in markers.items()]
     marks.append(("linear in the events", _GUIDE))
     legend_outside(figure, 5, marks)
     return figure

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from experiments.drawing.style import Figure, panels
+from experiments.drawing.style import FILLS, Figure, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.command import command_of
@@ -266,25 +266,38 @@ def _listed(words: "pd.Series[Any]") -> str:
     return "; ".join(f"{word} {count}" for word, count in words.value_counts().items())
 
 
+_SHOWN_AS = {
+    "rig as stated": f"all but {WRONG_RIG}",
+    f"under {SHORT_S:g} s": f"all under {SHORT_S:g} s",
+    "plain": "nothing odd",
+    "two objects": "a second object",
+}
+
+
 def hand_figure(table: pd.DataFrame) -> Figure:
     """Draw by kind what became of the recordings, and how often the 95 % intervals hold."""
-    figure, grid = panels("The default, beside settings by hand", 4.2, columns=2, sharey=True)
+    n, places = table["recordings"], np.arange(len(table))
+    title = f"The default, beside settings by hand, on {n.max()} recordings"
+    figure, grid = panels(title, 4.4, columns=2, sharey=True)
     left, axes = grid[0]
-    n = table["recordings"]
     parts = {
-        "right": (table["right"], "#009E73"),
-        "wrong": (table["wrong"], "#D55E00"),
-        "a setting gives more": (table["settled"], "#E69F00"),
-        "refused by all": (n - table[["right", "wrong", "settled"]].sum(axis=1), "0.8"),
+        "right": table["right"],
+        "wrong": table["wrong"],
+        "a setting gives more": table["settled"],
+        "refused by all": n - table[["right", "wrong", "settled"]].sum(axis=1),
     }
     start: Array = np.zeros(len(table))
-    for label, (count, color) in parts.items():
+    for (label, count), color in zip(parts.items(), FILLS, strict=True):
         share = 100.0 * (count / n).to_numpy(np.float64)
-        left.barh(table["kind"], share, left=start, color=color, label=label)
+        left.barh(places, share, left=start, color=color, label=label)
         start = start + share
-    for (name, quantity), marker in zip(HELD.items(), "Ds^", strict=True):
-        axes.plot(100.0 * table[f"{name}_held"], table["kind"], marker, ms=5, label=quantity.label)
-    axes.axvline(95.0, color="0.6", lw=0.8)
+    greys = ("0.0", "0.5", "1.0")  # beside each other, as one may be at another's place
+    for k, ((name, quantity), grey) in enumerate(zip(HELD.items(), greys, strict=True)):
+        look = {"marker": "Ds^"[k], "color": grey, "mec": "black", "ms": 4, "ls": "none"}
+        held, beside = 100.0 * table[f"{name}_held"], places + 0.28 * (k - 1)
+        axes.plot(held, beside, label=quantity.label, **look)
+    axes.axvline(95.0, color="0.6", lw=0.8, zorder=1, label="95 %")
+    left.set_yticks(places, [_SHOWN_AS.get(kind, kind) for kind in table["kind"]])
     left.set_xlabel("recordings [%]")
     axes.set_xlabel("in the interval of 95 % [%]")
     left.invert_yaxis()

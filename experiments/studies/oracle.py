@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure
+from experiments.drawing.style import Figure, legend_outside
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair, recorded_pair
@@ -159,8 +159,13 @@ def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def cause_figure(table: pd.DataFrame) -> Figure:
     """Draw the mean errors that are left, those of the method as it is as a line."""
-    figure = error_bars("What is left of the error of tangency", 3.4, table, "cause", "0.65")
+    figure = error_bars("What is left of tangency's errors", 3.6, table, "cause", "0.65")
     figure.axes[0].invert_yaxis()
+    for axes in figure.axes:  # some are too small for a bar to be seen
+        bars: Any = axes.containers[0]
+        axes.bar_label(bars, fmt="{:.2g}", fontsize=7, padding=2)
+        axes.margins(x=0.25)
+    legend_outside(figure, 1)
     return figure
 
 

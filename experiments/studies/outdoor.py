@@ -276,7 +276,9 @@ def first_flight(_: Results, folder: Path) -> Figure | None:
     answer = at_once((folder,), truths, cell)
     if not answer.paths:
         return None
-    return draw_comparison(compared(answer.paths[0].path, truths[0], cell.flight))
+    figure = draw_comparison(compared(answer.paths[0].path, truths[0], cell.flight))
+    figure.suptitle("Outdoor experiment, simulated: the path found on the first flight, and RTK")
+    return figure
 
 
 def page_table(results: Results) -> str:

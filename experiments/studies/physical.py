@@ -67,7 +67,7 @@ def published_tables() -> dict[float, pd.DataFrame]:
 
 def mini_figure(runs: pd.DataFrame) -> Figure:
     """Draw the errors of a table beside the paper's."""
-    return error_figure(runs, published_tables())
+    return error_figure(runs, published_tables(), "Small-scale experiment")
 
 
 def comparison(results: Results) -> pd.DataFrame:
@@ -190,30 +190,35 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def budget_figure(summary: pd.DataFrame) -> Figure:
     """Draw mean errors with each imperfection alone (dot), all but it (cross), none and all."""
-    from matplotlib.ticker import LogLocator
-
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
     height_in = 1.5 + 0.22 * len(places) * len(METHODS)
-    title = "What each imperfection of a bench adds"
+    n_runs = summary.groupby(["kind", "method"])["runs"].sum().max()
+    title = f"What each imperfection of a bench adds: mean errors of {n_runs} recordings"
     figure, grid = panels(title, height_in, len(METHODS), len(ERRORS), sharey=True)
     for row, method in zip(grid, METHODS, strict=True):
         dots: dict[str, Any] = {"ms": 5, "color": looks[method].color}
         for axes, (name, quantity) in zip(row, ERRORS.items(), strict=True):
             values = _budget_means(summary, name).xs(method, level="method")
             alone, without = (values[[*map(of, IMPERFECTIONS)]] for of in (only, all_but))
-            axes.plot(alone, places, "o", label="alone", **dots)
-            axes.plot(without, places, "x", label="all but it", **dots)
-            axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
-            axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
+            axes.plot(alone, places, "o", **dots)
+            axes.plot(without, places, "x", **dots)
+            axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":")
+            axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--")
             axes.set(xscale="log")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             label_log_axis(axes.xaxis)
             axes.set_xlabel(quantity.label, fontsize=9)
             if name == T_D_ERROR.column:
                 axes.set_title(method, fontsize=10, loc="left")
-        row[0].set_yticks(places, list(IMPERFECTIONS), fontsize=8)
+        names = [{"truth": "measured truth"}.get(name, name) for name in IMPERFECTIONS]
+        row[0].set_yticks(places, names, fontsize=8)
     grid[0, 0].invert_yaxis()
-    legend_outside(figure, 4)
+    marks = (
+        ("ideal bench with this imperfection", {"marker": "o", "ls": "none", "ms": 5}),
+        ("real bench without it", {"marker": "x", "ls": "none", "ms": 5}),
+        ("ideal bench", {"ls": ":", "lw": 0.8}),
+        ("real bench, with all", {"ls": "--", "lw": 0.8}),
+    )
+    legend_outside(figure, 4, marks)
     return figure
 
 
@@ -330,8 +335,9 @@ def latency_figure(summary: pd.DataFrame) -> Figure:
     both = by_polarity["both"]
     axes.plot(both["light_ratio"], both["swapped_ms"], color="0.5", ls=":", marker="x",
               label="mean with the lights swapped")  # fmt: skip
-    axes.set(xscale="log", xticks=RATIOS)
+    axes.set(xscale="log")
     label_log_axis(axes.xaxis)
+    axes.set_xticks(RATIOS)
     axes.set_xlabel("light of camera 2 over that of camera 1")
     axes.set_ylabel("apparent offset less the clocks' [ms]")
     axes.legend(fontsize=8, frameon=False, title_fontsize=8,

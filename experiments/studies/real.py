@@ -15,8 +15,9 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
+from numpy.typing import NDArray
 
-from experiments.drawing.style import Axes, Figure, panels
+from experiments.drawing.style import ACCENT, Axes, Figure, panels, quiet_axes
 from experiments.lab.command import OutOption, check_is_folder
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
@@ -56,7 +57,7 @@ OFFSET_GIVEN = [str(status) for status in Status if status.has_offset]
 _LAST_DIGIT = 1e-5  # of a closure or stray, as a share: the tables have eight digits
 _KNOT_S = 1e-4  # likewise of a time
 _CLOSURE_MS = 0.01  # of offsets of 100 s with eight digits, and skews with as many
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#777777")
+_COLUMNS = 5  # of small axes, one for each pair
 
 
 def real_command(
@@ -82,7 +83,9 @@ def real_command(
             sets.append(one)
             row, comparison = tracks.path_of(one)
             paths.append(row)
-            pictures[PATH_FIGURE.format(one.number)] = png_bytes(draw_comparison(comparison))
+            drawn = draw_comparison(comparison)
+            drawn.suptitle(f"Public data set {one.number}: the path found, and RTK")
+            pictures[PATH_FIGURE.format(one.number)] = png_bytes(drawn)
             say(
                 f"{one.number}: {row['cameras']} cameras, RMSE {row['rmse_m']:.3f} m at "
                 f"{row['n_rtk']} samples of RTK, {row['network_s']:.0f} s"
@@ -113,9 +116,16 @@ def config() -> dict[str, Any]:
 def real_figure(results: Results) -> Figure:
     """Draw how far readouts move the offsets, and how far the clocks of frames wander."""
     pairs, title = results.table(PAIRS), "Public videos: what shutters and clocks do to the offsets"
-    figure, ((above,), (below,)) = panels(title, 7.4, rows=2)
+    strays = dict(list(results.table(STRAYS).groupby(KEY)))
+    rows = 1 + max(1, -(-len(strays) // _COLUMNS))
+    shared = {"sharex": True, "sharey": True, "height_ratios": [2.4] + [1.0] * (rows - 1)}
+    figure, (first, *below) = panels(title, 4.2 + 1.2 * (rows - 1), rows, _COLUMNS, **shared)
+    for axes in first:
+        axes.remove()
+    above = figure.add_subplot(first[0].get_gridspec()[0, :])
+    quiet_axes(above)
     _draw_readouts(above, pairs[pairs["by_readouts_ms"].notna()])
-    _draw_strays(below, results.table(STRAYS))
+    _draw_strays(np.ravel(below), strays)
     return figure
 
 
@@ -123,8 +133,8 @@ def _draw_readouts(axes: Axes, pairs: pd.DataFrame) -> None:
     places = np.arange(len(pairs))
     moved_ms = pairs["by_readouts_ms"].to_numpy()
     for shift, offset_ms, column, color, label in (
-        (-0.15, 0.0 * moved_ms, "global_std_ms", _COLORS[1], "shutters taken for global ones"),
-        (0.15, moved_ms, "t_d_std_ms", _COLORS[0], "readouts estimated"),
+        (-0.15, 0.0 * moved_ms, "global_std_ms", "0.6", "shutters taken for global ones"),
+        (0.15, moved_ms, "t_d_std_ms", ACCENT, "readouts estimated"),
     ):
         axes.errorbar(
             places + shift, offset_ms, NORMAL_95 * pairs[column].to_numpy(), fmt="o", ms=3, lw=1.0,
@@ -134,22 +144,21 @@ def _draw_readouts(axes: Axes, pairs: pd.DataFrame) -> None:
     axes.set_xticks(places, names, rotation=90, fontsize=7)
     axes.set_xlabel("data set: pair of cameras; a bar is the interval of 95 %")
     axes.set_ylabel("offset, moved by readouts [ms]")
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=8, frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _draw_strays(axes: Axes, strays: pd.DataFrame) -> None:
-    for k, ((number, one, other), knots) in enumerate(strays.groupby(KEY)):
-        color, style = _COLORS[k % len(_COLORS)], ("-", "--")[k // len(_COLORS) % 2]
-        axes.plot(
-            knots["t_s"], knots["stray_ms"], color=color, ls=style, lw=1.0,
-            label=f"{number}: {one}-{other}",
-        )  # fmt: skip
-    axes.set_xlabel("time of the first camera's clock [s]")
-    axes.set_ylabel("stray from an affine clock [ms]")
-    if len(strays):
-        axes.legend(fontsize=8, frameon=False, ncols=7, loc="upper center",
-                    bbox_to_anchor=(0.5, -0.16), title="data set: pair of cameras",
-                    title_fontsize=8)  # fmt: skip
+def _draw_strays(panels_of: NDArray[Any], strays: Mapping[Any, pd.DataFrame]) -> None:
+    """Draw the stray from an affine clock of each pair in axes of its own, the others' in grey."""
+    figure = panels_of[0].figure
+    for axes in panels_of[len(strays) :]:
+        axes.set_axis_off()
+    for axes, ((number, one, other), knots) in zip(panels_of, strays.items(), strict=False):
+        for others in strays.values():
+            axes.plot(others["t_s"], others["stray_ms"], color="0.88", lw=0.6)
+        axes.plot(knots["t_s"], knots["stray_ms"], color=ACCENT, lw=1.2)
+        axes.set_title(f"{number}: {one}-{other}", fontsize=8)
+    figure.supxlabel("time of the first camera's clock [s]", fontsize=10)
+    panels_of[0].set_ylabel("stray from an\naffine clock [ms]")
 
 
 # --- What the tables must say of themselves and of each other ---

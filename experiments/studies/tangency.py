@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure, legend_outside, method_looks, panels
+from experiments.drawing.style import ACCENT, Figure, legend_outside, method_looks, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of
-from experiments.paper.esim import ANGLES_DEG, ERRORS, R_ERROR, T_D_ERROR, drawn
+from experiments.paper.esim import ANGLES_DEG, ERRORS, T_D_ERROR, drawn
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose
@@ -157,11 +157,11 @@ def study_figure(means: pd.DataFrame) -> Figure:
     variants = means[means["variant"] != JOINT]
     own = method_looks(["tangency"])["tangency"].color
     colors = np.where(variants["variant"] == AS_IT_IS, own, "0.65")
-    title, height_in = "Mean errors (bars) of variants of tangency", 1.4 + 0.22 * len(variants)
-    figure = error_bars(title, height_in, variants, "variant", colors)
+    height_in = 1.4 + 0.22 * len(variants)
+    figure = error_bars("Variants of tangency", height_in, variants, "variant", colors)
     figure.axes[0].plot(
-        variants[_WORST], np.arange(len(variants)), "|", color="#D55E00", ms=9, mew=1.5,
-        label="at the worst angle",
+        variants[_WORST], np.arange(len(variants)), "|", color=ACCENT, ms=9, mew=1.5,
+        label="$t_d$ at the worst angle",
     )  # fmt: skip
     figure.axes[0].set_ylim(len(variants) - 0.4, -0.6)
     legend_outside(figure, 2)
@@ -170,9 +170,10 @@ def study_figure(means: pd.DataFrame) -> Figure:
 
 def error_bars(title: str, height_in: float, means: pd.DataFrame, of: str, color: Any) -> Figure:
     """Draw mean errors as bars, named by a column, those of the method as it is as a line."""
-    figure, (axes,) = panels(title, height_in, columns=2, sharey=True)
+    title = f"{title}: mean errors of {means['runs'].max()} flights"
+    figure, (axes,) = panels(title, height_in, columns=len(ERRORS), sharey=True)
     lines = np.arange(len(means))
-    for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
+    for ax, error in zip(axes, ERRORS.values(), strict=True):
         ax.grid(visible=False)
         ax.barh(lines, means[error.column], color=color, height=0.7)
         own = float(means.loc[means[of] == AS_IT_IS, error.column].iloc[0])

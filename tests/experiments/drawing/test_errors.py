@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -19,12 +20,21 @@ from experiments.drawing.errors import (
     published_means,
     success_figure,
 )
-from experiments.drawing.style import WIDTH_IN, method_looks
+from experiments.drawing.style import (
+    ACCENT,
+    FILLS,
+    STANDARD_ERROR,
+    SURVIVORS,
+    WIDTH_IN,
+    label_log_axis,
+    method_looks,
+    value_color,
+)
 from experiments.lab.grid import GridConfig, named_config
 from experiments.lab.results import DPI, Results, png_bytes
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import ERRORS
-from ssac.config import Config
+from ssac.pipeline.plots import BLUE, YELLOW
 from ssac.pipeline.registry import METHODS
 from tests.experiments.reported import made_up_runs
 
@@ -42,7 +52,7 @@ def runs_of(*durations_s: float) -> pd.DataFrame:
 
 
 def drawn_means(axes) -> list[np.ndarray]:
-    return [np.transpose(container.lines[0].get_data()) for container in axes.containers]
+    return [np.transpose(one.lines[0].get_data()).astype(float) for one in axes.containers]
 
 
 def labels(figure) -> list[str]:
@@ -73,8 +83,10 @@ def test_means_are_over_the_runs_that_did_not_fail_and_a_flight_counts_once() ->
     once, repeated = flight_means(of_one, "r_error_deg"), flight_means(thrice, "r_error_deg")
     columns = ["mean", "standard_error"]
     np.testing.assert_allclose(repeated[columns], once[columns])
-    deviation = at_30.loc[at_30["t_d_ms"] == 50.0, "r_error_deg"].std(ddof=0)
+    deviation = at_30.loc[at_30["t_d_ms"] == 50.0, "r_error_deg"].std(ddof=1)
     assert once["standard_error"].iloc[0] == pytest.approx(deviation / np.sqrt(4))
+    of_one_flight = flight_means(thrice[thrice["flight"] == 0], "r_error_deg")
+    assert of_one_flight["standard_error"].isna().all()
 
 
 def test_the_papers_means_are_pooled_over_offsets() -> None:
@@ -101,7 +113,7 @@ def test_every_mean_of_ours_and_of_the_paper_is_drawn_where_there_is_one() -> No
         ]
         known = ("ssac", "zncc_e") if is_offset else ("ssac",)
         expected += [papers(duration_s, method, error) for method in known]
-        drawn = [tuple(part[:, 1].astype(float)) for part in drawn_means(axes)]
+        drawn = [tuple(part[:, 1]) for part in drawn_means(axes)]
         np.testing.assert_allclose(sorted(drawn), sorted(expected))
         if is_offset:
             assert f"{duration_s:g} s" in axes.get_title()
@@ -122,10 +134,10 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     failed = runs["method"] == "ssac-known"
     runs.loc[failed, ["status", "t_d_error_ms"]] = ["too_few_samples", np.nan]
     figure = error_figure(runs, PUBLISHED)
-    assert labels(figure)[:2] == ["ssac (2 of 120 failed)", "ssac-known (120 of 120 failed)"]
+    assert labels(figure)[:2] == ["ssac (2 of 120 refused)", "ssac-known (120 of 120 refused)"]
     assert "zncc_e" in labels(figure)
     assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is only in the legend
-    assert "hollow: mean of so many, others refused" in labels(figure)
+    assert SURVIVORS[0] in labels(figure)
     hollow = [one for one in figure.axes[0].lines if one.get_markerfacecolor() == "white"]
     assert len(hollow) == 1  # both runs are of one angle
     assert [text.get_text() for text in figure.axes[0].texts] == ["10"]
@@ -138,12 +150,14 @@ def test_the_area_under_a_success_curve_counts_the_refused() -> None:
     runs = runs_of(20.0)
     own = runs["method"] == "ssac"
     runs.loc[own, "t_d_error_ms"] = 0.25
+    runs.loc[runs["method"] == "zncc_e", "t_d_error_ms"] = 1.0  # not below the threshold
     runs.loc[runs.index[own][: own.sum() // 2], "status"] = "search_bound"
     axes = success_figure(runs).axes[0]
     curves = dict(zip(axes.get_legend_handles_labels()[1], axes.lines, strict=True))
     x, shares = curves["ssac 37.5"].get_data()  # half of the runs, over three quarters
     assert np.all(x[1:-1] == 0.25)
     assert (shares[0], shares[-1]) == (0.0, 50.0)
+    assert set(curves["zncc_e 0.0"].get_ydata()) == {0.0}
     assert len(success_figure(runs).axes[2].lines) == 2  # of those that give a pose
 
 
@@ -151,14 +165,14 @@ def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
     runs = made_up_runs((*REFINED, "zncc_e"), 3)
     for axes, error, duration_s in panels_of(beyond_figure(runs, PUBLISHED)):
         paper, *ours = drawn_means(axes)
-        np.testing.assert_allclose(paper[:, 1].astype(float), papers(duration_s, "ssac", error))
+        np.testing.assert_allclose(paper[:, 1], papers(duration_s, "ssac", error))
         for method, drawn in zip(REFINED, ours, strict=True):
             own = runs[(runs["method"] == method) & (runs["duration_s"] == duration_s)]
-            np.testing.assert_allclose(drawn[:, 1].astype(float), flight_means(own, error)["mean"])
+            np.testing.assert_allclose(drawn[:, 1], flight_means(own, error)["mean"])
         levels = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
         assert [list(level) for level in levels] == [[ERRORS[error].mark] * 2]
     without = beyond_figure(made_up_runs(("joint", "ssac"), 2), PUBLISHED)
-    assert labels(without)[:3] == ["the paper", "ssac", "joint"]
+    assert labels(without)[:3] == ["the paper's ssac", "ssac", "joint"]
     assert "tangency" not in labels(without)
 
 
@@ -181,61 +195,114 @@ def test_no_two_methods_look_alike_and_each_the_same_in_every_company() -> None:
     assert looks["ssac-known"].style["fillstyle"] != looks["ssac"].style["fillstyle"]
 
 
+def test_no_colour_stands_for_two_things() -> None:
+    """Siblings share theirs, as they differ in their markers."""
+    methods = {look.color for look in method_looks([*METHODS, *"abcd"]).values()}
+    named = {"sim.angle_deg": ANGLES_DEG, "sim.spline.duration_s": (10.0, 20.0), "other": range(5)}
+    values = [to_hex(value_color(name, value, 0.25 * place)).upper()
+              for name, of in named.items() for place, value in enumerate(of)]  # fmt: skip
+    colors = [*methods, *values, ACCENT, *FILLS, BLUE, YELLOW]
+    assert len(set(colors)) == len(colors)
+
+
+@pytest.mark.parametrize("reach", [(0.13, 0.35), (0.12, 0.8), (0.03, 0.9), (0.01, 1000.0)])
+def test_three_numbers_at_least_are_on_a_logarithmic_axis(reach: tuple[float, float]) -> None:
+    axes = Figure().subplots()
+    axes.set(yscale="log", ylim=reach)
+    label_log_axis(axes.yaxis)
+    ticks = axes.get_yticks()
+    assert np.count_nonzero((ticks >= reach[0]) & (ticks <= reach[1])) >= 3
+
+
 # --- Ablations ---
 
 
-def means_of(name: str) -> tuple[GridConfig, pd.DataFrame]:
-    """An ablation's grid and its committed means, as if none of ten runs had failed."""
-    return named_config(name), Results(RESULTS).table(name).assign(n_runs=10, failed=0)
+def runs_of_ablation(name: str) -> tuple[GridConfig, pd.DataFrame]:
+    """An ablation's grid and its committed runs."""
+    return named_config(name), Results(RESULTS).table(f"{name}_runs")
+
+
+def said(figure) -> tuple[str, list[str]]:
+    return figure.legends[0].get_title().get_text(), labels(figure)
 
 
 def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marked() -> None:
-    grid, means = means_of("ablation_window")
-    axes = ablation_figure(means, grid).axes
-    assert axes[0].get_ylabel() == "ssac"  # in the registry's order
-    for row, method in enumerate(("ssac", "joint")):
-        for column, error in enumerate(ERRORS):
-            lines = drawn_means(axes[len(ERRORS) * row + column])
-            for angle_deg, line in zip((30, 90, 150), lines, strict=True):
-                chosen = (means["method"] == method) & (means["sim.angle_deg"] == angle_deg)
-                expected = means[chosen]
-                np.testing.assert_allclose(line[:, 0], 1e3 * expected["ssac.half_window_s"])
-                np.testing.assert_allclose(line[:, 1], expected[f"{error}_mean"])
-    for one in axes:  # in the axis' unit
-        dashed = [line for line in one.lines if line.get_linestyle() == "--"]
-        assert [line.get_xdata()[0] for line in dashed] == [1e3 * Config().half_window_s]
+    grid, runs = runs_of_ablation("ablation_focal")
+    figure = ablation_figure(runs, grid)
+    assert figure.axes[0].get_ylabel() == "ssac"  # in the registry's order
+    for axes, (method, error) in zip(figure.axes, product(grid.methods, ERRORS), strict=True):
+        lines = drawn_means(axes)
+        for angle_deg, line in zip((30, 90, 150), lines, strict=True):
+            own = runs[(runs["method"] == method) & (runs["sim.angle_deg"] == angle_deg)]
+            expected = flight_means(own, error, "sim.focal_px")
+            np.testing.assert_allclose(line[:, 1], expected["mean"])
+            # Each is moved aside, all of a line alike and none as another.
+            assert np.ptp(line[:, 0] / expected.index) == pytest.approx(0.0, abs=1e-9)
+        assert len({line[0, 0] for line in lines}) == 3
+        dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
+        assert [line.get_xdata()[0] for line in dashed] == [200.0]
+    title, names = said(figure)
+    assert title == "Errors of one flight: focal length"
+    # No bar and no hollow marker is there, and none is explained.
+    assert names == ["30 deg", "90 deg", "150 deg", "default: 200 px"]
     # A method without a pose leaves its axes empty.
-    poses = [f"r_error_deg_{part}" for part in ("mean", "std")]
-    means.loc[means["method"] == "ssac", poses] = np.nan
-    axes = ablation_figure(means, grid).axes
+    runs.loc[runs["method"] == "ssac", "r_error_deg"] = np.nan
+    axes = ablation_figure(runs, grid).axes
     assert [len(drawn_means(axes[k])) for k in (1, 4)] == [0, 3]
 
 
-def test_failures_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
-    grid, means = means_of("ablation_n_min")
-    lost = (means["ssac.n_min"] == 1600) & (means["method"] == "ssac")
-    means.loc[lost & (means["sim.angle_deg"] == 90), "failed"] = 3
-    axes = ablation_figure(means, grid).axes
+def test_offsets_are_pooled_and_an_angle_has_its_colour_in_every_figure() -> None:
+    grid, runs = runs_of_ablation("ablation_davis346")
+    title, names = said(ablation_figure(runs, grid))
+    assert (title, names) == (
+        "Mean errors of 2 flights: noise of a DAVIS346", ["10 s", "20 s", STANDARD_ERROR[0]],
+    )  # fmt: skip
+    grid, runs = runs_of_ablation("ablation_brightness")
+    figure = ablation_figure(runs, grid)
+    assert said(figure)[1][0] == "90 deg"
+    assert figure.axes[0].lines[0].get_color() == value_color("sim.angle_deg", 90, 0.0)
+
+
+def test_of_two_more_parameters_one_has_the_rows_and_the_lines_are_of_methods() -> None:
+    grid, runs = runs_of_ablation("ablation_object")
+    figure = ablation_figure(runs, grid)
+    objects = ["quadrotor", "two-tone", "bird", "plane"]
+    assert [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()] == objects
+    assert said(figure)[1][:3] == [*grid.methods]
+    assert said(figure)[0].startswith("Mean errors of 3 flights at all angles")
+
+
+def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
+    grid, runs = runs_of_ablation("ablation_n_min")
+    runs["status"] = "ok"
+    assert len(ablation_figure(runs, grid).axes) == 9
+    own = (runs["ssac.n_min"] == 1600) & (runs["method"] == "ssac")
+    lost = own & (runs["sim.angle_deg"] == 90) & (runs["flight"] < 3)
+    runs.loc[lost, "status"] = "too_few_samples"
+    figure = ablation_figure(runs, grid)
+    axes = figure.axes
     assert len(axes) == 12
-    assert axes[3].get_title() == "failed runs [%]"
-    shares = [line.get_ydata() for line in axes[3].lines if line.get_linestyle() == "-"]
-    assert [float(share[-1]) for share in shares] == [0.0, 30.0, 0.0]
+    assert axes[3].get_title() == "refused runs [%]"
+    bars = [float(bar.get_segments()[-1][1, 1]) for bar in axes[3].collections]
+    assert bars == pytest.approx([0.0, 30.0, 0.0])
     hollow = [line for line in axes[0].lines if line.get_markerfacecolor() == "white"]
-    assert [float(line.get_xdata()[0]) for line in hollow] == [1600.0]
+    assert [float(line.get_xdata()[0]) for line in hollow] == [pytest.approx(1600.0)]
     assert [text.get_text() for text in axes[0].texts] == ["7"]  # of 10
-    means.loc[lost, [f"{error}_{part}" for error in ERRORS for part in ("mean", "std")]] = np.nan
-    for line in drawn_means(ablation_figure(means, grid).axes[0]):
+    assert SURVIVORS[0] in labels(figure)
+    runs.loc[own, "status"] = "too_few_samples"
+    figure = ablation_figure(runs, grid)
+    assert SURVIVORS[0] not in labels(figure)  # none is left that could be hollow
+    for line in drawn_means(figure.axes[0]):
         assert np.isnan(line[-1, 1])
         assert np.isfinite(line[:-1]).all()
 
 
-def test_standard_errors_stay_above_zero_on_a_logarithmic_axis() -> None:
-    """The deviation of n errors, none negative, is at most sqrt(n - 1) times their mean."""
-    grid, means = means_of("ablation_samples")
-    means["t_d_error_ms_std"] = 3.0 * means["t_d_error_ms_mean"]  # 9 runs at 0, one far off
-    means.loc[0, ["t_d_error_ms_mean", "t_d_error_ms_std"]] = 100.0, 300.0
-    axes = ablation_figure(means, grid).axes[0]
+def test_means_are_within_a_logarithmic_axis_whatever_their_bars_reach() -> None:
+    """Of two errors, one of them 0, the bar ends at 0."""
+    grid, runs = runs_of_ablation("ablation_speed")
+    runs.loc[runs["flight"] == 0, "t_d_error_ms"] = 0.0
+    axes = ablation_figure(runs, grid).axes[0]
     assert axes.get_yscale() == "log"
-    bars = [bar for container in axes.containers for bar in container.lines[2]]
-    ends = [end for bar in bars for end in bar.get_segments() if len(end)]
-    assert np.concatenate(ends)[:, 1].min() > 0.0
+    low, high = axes.get_ylim()
+    means = np.concatenate(drawn_means(axes))[:, 1]
+    assert 0.0 < low < np.nanmin(means) < np.nanmax(means) < high

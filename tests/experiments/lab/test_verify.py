@@ -119,6 +119,15 @@ def test_a_wrong_provenance_is_found(results, old, new, fault):
     assert found.faults[0].startswith(fault)
 
 
+def test_other_words_on_an_axis_do_not_make_a_provenance_wrong(results):
+    path = results / "squares.provenance.json"
+    content = json.loads(path.read_text())
+    content["config"]["figure"] = {"label": "side of a square"}
+    path.write_text(json.dumps(content))
+    sums_made_anew(results)
+    assert not faulty(all_of(results))
+
+
 def test_a_provenance_of_another_shape_is_a_fault_and_no_crash(results):
     path = results / "squares.provenance.json"
     content = json.loads(path.read_text())

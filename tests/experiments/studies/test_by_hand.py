@@ -99,7 +99,12 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     assert (row["R_given"], row["R_held"], row["t_held"]) == (2, 1.0, 1.0)
     assert table.loc["plain", "right"] == 1
     assert table.loc["faint", "settings"] == ""
-    assert len(by_hand.hand_figure(table.reset_index()).axes) == 2
+    left, right = by_hand.hand_figure(table.reset_index()).axes
+    ends = [sum(bar.get_width() for bar in row) for row in zip(*left.containers, strict=True)]
+    assert ends == pytest.approx([100.0] * len(table))
+    marks = [line for line in right.lines if line.get_linestyle() == "None"]
+    places = [tuple(line.get_ydata()) for line in marks]
+    assert len({place for line in places for place in line}) == 3 * len(table)  # none at another's
 
 
 def test_the_command_tries_settings_where_the_default_is_not_right(
