@@ -74,7 +74,7 @@ def test_the_readme_is_short_and_shows_its_first_screen() -> None:
     assert len(lines) <= README_LINES
     first = "\n".join(lines[:20])
     assert all(part in first for part in ("p2(t + t_d)'", "![", "make demo", "make tables"))
-    assert first.index("make test") < first.index("![") < first.index("p2(t + t_d)'")
+    assert first.index("![") < first.index("make demo") < first.index("p2(t + t_d)'")
 
 
 def test_how_to_cite_names_this_version_and_the_paper() -> None:
