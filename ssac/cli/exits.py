@@ -16,8 +16,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ssac.errors import PluginError, SsacError, columns, folded
+from ssac.errors import PluginError, SsacError
 from ssac.files.whole_file import whole_file
+from ssac.screen import columns, folded
 
 DONE = 0
 NO_ESTIMATE = 1  # for `ssac verify`, something differs; never a crash

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssac.errors import SsacError, columns, folded
+from ssac.errors import SsacError
 from ssac.files.damage import Reading
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
 from ssac.files.rigs import RIG_SUFFIXES
@@ -20,6 +20,7 @@ from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
 from ssac.pipeline.report import save_json
+from ssac.screen import columns, folded
 
 if TYPE_CHECKING:
     from ssac.pipeline.many import NetworkResult

@@ -21,7 +21,6 @@ REPEATED = 32
 
 _LONGEST_GAP_US = 3600 * US_PER_S  # without an event in one file: no recording pauses for longer
 
-
 # Of what moves before it a camera gives thousands of events a second, and for minutes: times of
 # fewer, or of longer, are in another unit.
 _LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1

@@ -42,9 +42,9 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     path
         A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
         of a camera is its pose from the one before, `T_cn_cnm2` from that before it, where one in
-        between has none), or what OpenCV's FileStorage writes after a
-        stereo calibration: K1, D1, K2, D2, the image's `size`, and R and T where known; radtan
-        unless the key `distortion_model` says `equidistant`.
+        between has none), or what OpenCV's FileStorage writes after a stereo calibration: K1, D1,
+        K2, D2, the image's `size`, and R and T where known; radtan unless the key
+        `distortion_model` says `equidistant`.
     cameras
         Numbers of the two that are to be cameras 1 and 2, from 1 on.
 

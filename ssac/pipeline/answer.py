@@ -11,9 +11,9 @@ import numpy as np
 
 from ssac.camera import Camera, Rig
 from ssac.config import Config
-from ssac.errors import columns, folded
 from ssac.estimate import Estimate, Refusal
 from ssac.methods.method import Method
+from ssac.screen import columns, folded
 from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
 from ssac.search.two_views import TwoViews, views_of

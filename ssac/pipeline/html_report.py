@@ -25,7 +25,7 @@ from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
-from ssac.pipeline.report import Rows, counts_of, how_it_runs, of_length, vector
+from ssac.pipeline.report import Rows, counts_of, how_it_runs, of_length, sight_deg, vector
 from ssac.pipeline.streams import Seen, as_recorded, scene_of_network, scene_of_two, streams
 from ssac.track.motion import ObjectMotion
 
@@ -112,6 +112,7 @@ def environment(*loaders: BaseLoader) -> Environment:
     )
     made.filters["fixed"] = lambda value, digits: f"{round(value, digits) + 0.0:.{digits}f}"
     made.filters["script_json"] = script_json
+    made.globals["normal_95"] = NORMAL_95
     made.globals["ours"] = {
         name: (files("ssac.pipeline") / "page" / name).read_text(encoding="utf-8").strip()
         for name in ("page.css", "page.js")
@@ -220,6 +221,7 @@ def _cards(answer: Answer) -> list[Card]:
 
 def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
     estimate, (lies, unit, length) = answer.estimate, of_length(answer.distance_m)
+    scale = answer.distance_m or 1.0
     turned_deg = Rotation.from_matrix(R).as_rotvec(degrees=True)
     turn, direction = f"rotation vector {vector(turned_deg, 2)}\N{DEGREE SIGN}", length
     if answer.method.needs_extrinsics:
@@ -230,15 +232,14 @@ def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
         by_turn = vector_by_turn(R)
         turn_stds = np.sqrt(np.diag(by_turn @ estimate.covariance[1:4, 1:4] @ by_turn.T))
         where = centre_covariance(R, t, estimate.covariance[1:, 1:])
-        stds = (answer.distance_m or 1.0) * np.sqrt(np.diag(where))
+        stds = scale * np.sqrt(np.diag(where))
         turn += f", {_around(np.degrees(turn_stds), 2)}\N{DEGREE SIGN}"
         turn += f"; 1 sigma {estimate.r_std_deg:.3f}\N{DEGREE SIGN}"
         direction = f"{_around(stds, 3)}{unit}; 1 sigma {estimate.t_std_deg:.3f}\N{DEGREE SIGN}"
         direction += f", {length}"
-    apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
-    place = f"{vector(-(answer.distance_m or 1.0) * R.T @ t, 3)}{unit}"
+    place = f"{vector(-scale * R.T @ t, 3)}{unit}"
     return [
-        ("Lines of sight", f"{apart_deg:.2f}\N{DEGREE SIGN} apart", turn),
+        ("Lines of sight", f"{sight_deg(R):.2f}\N{DEGREE SIGN} apart", turn),
         (f"Camera 2 {lies}", place, f"right, down, forward of camera 1; {direction}"),
     ]
 

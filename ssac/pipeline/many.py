@@ -258,9 +258,7 @@ def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
         if before:
             one = found[before[-1]]
             T = _transform(other) @ np.linalg.inv(_transform(one))
-            shown_s = [
-                float(_clock(one_of).cam2_from_cam1(other.t_ref_s)) for one_of in (one, other)
-            ]
+            shown_s = [float(_clock(of).cam2_from_cam1(other.t_ref_s)) for of in (one, other)]
             in_metres = result.scale_is_known and groups[k] == 1
             step = Step(k - before[-1], T, shown_s[1] - shown_s[0], in_metres)
         steps.append(step)

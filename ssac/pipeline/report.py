@@ -12,11 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
-from ssac.errors import columns, folded
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
+from ssac.screen import columns, folded
 
 Rows = Sequence[tuple[str, str]]  # of a name, which may be empty, and a value
 
@@ -207,9 +207,8 @@ def _pose_rows(
     stds_deg = estimate.r_std_deg, estimate.t_std_deg
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
-    apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
     rows = [
-        ("lines of sight", f"{apart_deg:.2f} deg apart"),
+        ("lines of sight", f"{sight_deg(R):.2f} deg apart"),
         ("rotation", f"vector {vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
         ("translation", f"t = {vector(t, 4)}{unit}, {length}{sigmas[1]}"),
         (
@@ -222,6 +221,11 @@ def _pose_rows(
         both = f"1 % of both focal lengths turns R by {R_deg:.2f} deg and t by {t_deg:.2f} deg"
         rows.append(("rests on", both))
     return rows
+
+
+def sight_deg(R: Array) -> float:
+    """Give the angle between both lines of sight."""
+    return float(np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0))))
 
 
 def of_length(distance_m: float | None) -> tuple[str, str, str]:

@@ -26,7 +26,8 @@ from ssac.cli.exits import (
 from ssac.cli.options import config_of
 from ssac.cli.progress import compilation_told, progress, say
 from ssac.config import Config
-from ssac.errors import COLUMNS, PluginError, SsacError, columns
+from ssac.errors import PluginError, SsacError
+from ssac.screen import COLUMNS, columns
 
 LONG = "A summary of some length, which a narrow list of commands would cut."
 ENTRIES = (
