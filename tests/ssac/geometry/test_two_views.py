@@ -10,10 +10,13 @@ from ssac.geometry import epipolar, fundamental
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.geometry.pose import (
+    centre_covariance,
     homography_poses,
+    moved_pose,
     nearest_pose,
     pose_from_fundamental,
     possible_poses,
+    vector_by_turn,
 )
 from ssac.rules import SearchRules
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, angle_deg, make_scene, project, track_pair
@@ -233,3 +236,21 @@ def test_a_plane_between_the_cameras_gives_their_pose():
     t = t / np.linalg.norm(t)
     errors = [np.abs(at_R - R).max() + np.abs(at_t - t).max() for at_R, at_t in poses]
     assert min(errors) < ROUNDING
+
+
+@pytest.mark.parametrize("angle", [1e-6, 1.0, 3.0])
+def test_rotation_vector_and_centre_move_with_the_pose_as_central_differences(angle):
+    R = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
+    t, step = np.array([0.8, 0.36, -0.48]), 1e-5
+
+    def moved(k, by):
+        turned = Rotation.from_rotvec(by * np.eye(3)[k]).as_matrix() @ R
+        return Rotation.from_matrix(turned).as_rotvec()
+
+    by_turn = [(moved(k, step) - moved(k, -step)) / (2.0 * step) for k in range(3)]
+    np.testing.assert_allclose(vector_by_turn(R).T, by_turn, atol=1e-9)  # of order step^2
+    change = np.eye(5)[:, :, None] * np.array([step, -step])
+    centres = [[-Q.T @ s for Q, s in (moved_pose(R, t, one) for one in of.T)] for of in change]
+    by_pose = np.array([(plus - minus) / (2.0 * step) for plus, minus in centres])
+    found = centre_covariance(R, t, np.diag([1.0, 2.0, 3.0, 4.0, 5.0]))
+    np.testing.assert_allclose(found, by_pose.T * np.arange(1, 6) @ by_pose, atol=1e-8)

@@ -94,6 +94,9 @@ def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solution
     found = flight.solved(flight.links() | {(1, 2): flight.link(1, 2, 3.0)})
     assert found.status == Status.OK
     assert found.wrong_pairs == {(1, 2): pytest.approx(3.0, abs=0.05)}  # its clock has no skew
+    guess = replace(flight.link(1, 2, 3.0), is_reliable=False)
+    found = flight.solved(flight.links() | {(1, 2): guess})
+    assert set(found.closures_s) == {(0, 1, 3), (0, 2, 3)}  # none rests on a guess
     links = {pair: link for pair, link in flight.links().items() if pair in ((0, 1), (2, 3))}
     found = flight.solved(links)
     assert [camera.group for camera in found.cameras] == [1, 1, 2, 2]

@@ -6,6 +6,7 @@ import pickle
 import re
 import zlib
 from dataclasses import replace
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
@@ -21,8 +22,10 @@ from ssac.files.track_files import save_track
 from ssac.files.whole_file import FIGURE_SUFFIXES
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.pose import moved_pose
+from ssac.pipeline import pair_charts
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.html_report import report_page, seen_by
+from ssac.pipeline.pair_charts import sample_charts
 from ssac.pipeline.plots import (
     BLUE,
     RED,
@@ -336,6 +339,41 @@ def test_the_page_says_what_was_found(result):
     for words in ("ssac sync 'my cam1.h5'", "numpy", "Reliable", "Residuals over time"):
         assert words in text
     assert page_of(result.answer, report_rows(result.answer), "ssac sync 'my cam1.h5'") == page
+
+
+def test_the_page_says_what_the_terminal_says_of_length_and_skew(result):
+    skew = {"t_ref_s": 2.5, "skew_ppm": 8.8, "skew_std_ppm": 52.0}
+    near = replace(result.answer, distance_m=7.07, estimate=replace(result.estimate, **skew))
+    for answer, words in ((result.answer, "of unknown length"), (near, "7.07 m long as stated")):
+        text = "".join(check_page(page_of(answer)).text)
+        assert (words in text, words in report_text(answer)) == (True, True)
+    assert text.count("the clocks run alike, as far as this tells") == 1  # the last is near's
+    assert "runs fast" not in text
+
+
+def test_a_charts_numbers_and_images_stand_as_they_were_drawn(result):
+    """Bug: ticks at a quarter lost their last digit, and the image of all events was too small."""
+    charts = []
+    with pair_charts._chart(charts, "", "") as axes:
+        axes.plot([0.0, 1.0], [0.0, 1 / 3])
+        axes.set_yticks([0.25, 0.75])
+    svg = unquote(charts[0].svg)
+    assert all(f">{tick}</text>" in svg for tick in (0.25, 0.75))
+    assert not re.search(r' d="[^"]*\.\d\d', svg)  # paths are short
+    image = unquote(sample_charts(seen_by({BOTH: result.answer}), 100)[-1].svg)
+    assert re.search(r"matrix\(\d\.\d{3}", image)
+
+
+def test_a_refusal_with_f_shows_its_best_offset_and_what_was_left(result):
+    refused = replace(result.estimate, status=Status.POOR_FIT, t_d_s=np.nan, R=None, t=None)
+    assert refused.F is not None
+    best_s = refused.candidates_s[np.nanargmin(refused.costs)]
+    answer = replace(result.answer, estimate=refused)
+    page = page_of(answer)
+    assert "What was tried" in page
+    assert "Residuals over time" in page
+    (pair,) = laid_out(answer)["pairs"]
+    assert (pair["found"], pair["holds"]) == (pytest.approx(best_s, abs=1e-6), False)
 
 
 def test_nothing_that_files_say_becomes_html(result):
