@@ -613,6 +613,9 @@ class RetryRules:
     # tell both: by large objects of `ssac by-hand`, bases 100 and 200.
     vague_s: float = 0.003
     longest_s: float = 0.05
+    # Of the deviations of `joint`, where the tangents that should refine it fit poorly: by eight
+    # such of numbers 702 to 1421 of `ssac by-hand` and of `ssac study imperfect`.
+    start_widened: float = 2.0
     few_neighbours: int = 3  # of its events
     fewest: int = 8  # that a window holds at least
     quiet_hz: float = 1e-3  # background of a pixel below which nothing needs to be filtered

@@ -194,6 +194,20 @@ def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
     return widened(estimate, sum(step_s**2 for step_s in quanta_s) / 12.0)
 
 
+def scaled(estimate: Estimate, factor: float) -> Estimate:
+    """Take all deviations of an estimate for so many times what it says."""
+    of_all, of_clock = estimate.covariance, estimate.clock_covariance
+    return replace(
+        estimate,
+        t_d_std_s=factor * estimate.t_d_std_s,
+        skew_std_ppm=factor * estimate.skew_std_ppm,
+        strays_std_s=factor * estimate.strays_std_s,
+        readouts_std_s=factor * estimate.readouts_std_s,
+        covariance=None if of_all is None else factor**2 * of_all,
+        clock_covariance=None if of_clock is None else factor**2 * of_clock,
+    )
+
+
 def widened(estimate: Estimate, hidden: float) -> Estimate:
     """Widen the offset's deviation by an error of its own, of this variance [s^2]."""
     if hidden == 0.0 or not np.isfinite(estimate.t_d_std_s):

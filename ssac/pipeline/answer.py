@@ -42,7 +42,7 @@ class Answer:
     clock: str = ""  # of which kind camera 2's is, where the kind asked for did not fit
     misfit: str = ""  # what of the rig seems wrong, where its deviations were taken for larger ones
     distance_m: float | None = None  # between the cameras, where it was stated
-    is_start: bool = False  # the object is tiny: the estimate is that of `method.starts_from`
+    of_start: str = ""  # why the estimate is that of `method.starts_from`, where it is
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
 
     @property
@@ -100,11 +100,8 @@ class Answer:
                 f"what is seen contradicts the rig: {self.misfit}; its intrinsics count as less"
                 " certain than it says, and the deviations are the larger for it: calibrate again"
             )
-        if self.is_start:
-            said.append(
-                "the object is too small for an outline that says more than the mean of its events:"
-                f" this is the answer of {self.method.starts_from}"
-            )
+        if self.of_start:
+            said.append(f"{self.of_start}: this is the answer of {self.method.starts_from}")
         if any(seen.n_followed for seen in self.cleans):
             said.append(
                 "the object makes too few events for windows: it is followed through the noise, and"

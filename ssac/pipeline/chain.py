@@ -195,6 +195,10 @@ class Chain:
             sees_several = any(one.used.seen > 1 for one in other.cleans)
             if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
                 answer = other
+        if method.keeps_start:
+            start = self._answered(choose_method(method.starts_from), places, config)
+            if start.estimate.status == Status.OK:
+                return retries.by_start(start, method, self.config.rules.retry)
         estimate = self._jumped(answer, config)
         return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
 
@@ -330,11 +334,10 @@ class Chain:
             if by_other.has_offset and by_other.against <= most:
                 pair, found, misfit = other, by_other, found.misfit or "as stated, nothing fits"
                 break
-        is_start = bool(pair.method.keeps_start) and pair.method.keeps(
-            self._views(pair.seen, pair.rig.unposed, pair.config)
-        )
+        views = self._views(pair.seen, pair.rig.unposed, pair.config)
+        of_start = retries.TINY if pair.method.keeps(views) else ""
         answer = self._answer(pair, found)
-        return replace(answer, clock=clock, misfit=misfit, is_start=is_start)
+        return replace(answer, clock=clock, misfit=misfit, of_start=of_start)
 
     def _run(self, pair: _Pair) -> Estimate:
         """Run a method, after those that it starts from, and put it on camera 2's own clock."""

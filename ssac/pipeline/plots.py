@@ -126,7 +126,7 @@ def fit_of(answer: Answer) -> Fit | None:
     estimate, views, t_d_s = answer.estimate, answer.paired, best_s(answer)
     if estimate.F is None or not np.isfinite(t_d_s):
         return None
-    is_refined = answer.method.name.startswith("tangency") and not answer.is_start
+    is_refined = answer.method.name.startswith("tangency") and not answer.of_start
     of_tangents = is_refined and estimate.status == Status.OK and estimate.R is not None
     pairs: WeighedPairs | PairsAt
     if of_tangents:

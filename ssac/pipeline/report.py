@@ -239,7 +239,7 @@ def counts_of(answer: Answer) -> str:
     """Say what the estimate's `n_samples` are, in the words of its method."""
     if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
         return "pairs"
-    return Method.counts if answer.is_start else answer.method.counts
+    return Method.counts if answer.of_start else answer.method.counts
 
 
 def _samples(answer: Answer) -> str:

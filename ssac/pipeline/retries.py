@@ -14,9 +14,14 @@ import numpy as np
 from ssac.camera import Rig, same_camera, with_deviations
 from ssac.config import N_MIN, Config, Interval
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
+from ssac.methods.method import Method
+from ssac.methods.verdict import scaled
+from ssac.pipeline.answer import Answer
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import Clean
 from ssac.track.observation import Observation
+
+TINY = "the object is too small for an outline that says more than the mean of its events"
 
 FAST, WANDERING = "fast", "pieces"
 """Clocks of one skew far beyond that of oscillators; and of phones, whose skew changes."""
@@ -144,15 +149,27 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
     if is_thin or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
     hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
-    if is_thin or (hides_part and found.status in SETTLED_BY["noise"]):
-        # Less of the object goes with the noise, or as if it were noise.
+    is_hidden = hides_part and found.status in SETTLED_BY["noise"]
+    if is_thin or is_hidden or found.status == Status.AMBIGUOUS_OFFSET:
+        # Less of the object goes with the noise, or as if it were noise; and it is seen for longer.
         fewer = replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
         yield fewer
-        if is_closer:
+        if is_closer and (is_thin or is_hidden):
             yield replace(fewer, rules=closer)
     if is_thin and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
+
+
+def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
+    """Give the answer of what a method starts from in its place, where it gives none itself.
+
+    Little that touches the outline, a branch or another object, spoils tangents, and moves the mean
+    of the events a little: by more than its deviations say, which are widened for it.
+    """
+    estimate = scaled(start.estimate, rules.start_widened)
+    estimate = replace(estimate, method=method.name, start=start.estimate)
+    return replace(start, method=method, estimate=estimate, of_start="its outline fits poorly")
 
 
 def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:

@@ -37,6 +37,7 @@ from ssac.pipeline.plots import (
 )
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_rows, report_text
+from ssac.pipeline.retries import TINY
 from ssac.pipeline.streams import scene_of_two, streams
 from ssac.search.all_offsets import AllOffsets, Guess
 from ssac.search.start import Start
@@ -192,7 +193,7 @@ def test_clutter_is_told(answer):
 
 def test_a_start_that_is_the_answer_is_called_so(result):
     assert "tangents to the outline" in report_text(result.answer)
-    text = report_text(replace(result.answer, is_start=True))
+    text = report_text(replace(result.answer, of_start=TINY))
     assert "note           the object is too small for an outline" in text
     assert "pairs of positions used, of 400 sample times" in text
 

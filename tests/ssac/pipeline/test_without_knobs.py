@@ -5,14 +5,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import ssac
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
+from ssac.methods import tangency
 from ssac.pipeline.retries import by_several, less_certain, other_clocks, other_ways
 from ssac.points import PointTrack
-from ssac.rules import VerdictRules
+from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
@@ -224,6 +226,7 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
         (Status.DEGENERATE_POSE, 0.1, Config(), True),
         (Status.TOO_FEW_SAMPLES, 0.0, Config(), True),
         (Status.SEVERAL_OBJECTS, 0.0, Config(), True),
+        (Status.AMBIGUOUS_OFFSET, 0.0, Config(), True),
         (Status.POOR_FIT, 0.0, Config(), False),
         (Status.SEARCH_BOUND, 0.1, Config(), False),
         (Status.POOR_FIT, 0.1, Config(n_min=50), False),
@@ -240,7 +243,23 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     # Of several objects in noise one is told by less filtering and a closer look together.
     closer = asked.rules.retry.closer
     looks_closer = is_tried and status in SETTLED_BY["closer"]
+    looks_closer &= status != Status.AMBIGUOUS_OFFSET  # without noise
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
+
+
+def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recorded, monkeypatch):
+    joint = ssac.sync(*recorded.pair, recorded / "rig.yaml", "joint").estimate
+    poor = {"status": Status.POOR_FIT, "reason": "a branch", "R": None, "t": None}
+    monkeypatch.setattr(tangency, "certain", lambda found, _: replace(found, **poor))
+    result = ssac.sync(*recorded.pair, recorded / "rig.yaml")
+    found, times = result.estimate, RetryRules().start_widened
+    assert (found.method, found.status, found.t_d_s) == ("tangency", Status.OK, joint.t_d_s)
+    assert_allclose(found.R, joint.R)
+    assert_allclose(found.covariance, times**2 * joint.covariance)
+    assert_allclose(found.clock_covariance, times**2 * joint.clock_covariance)
+    given = [found.t_d_std_s, found.skew_std_ppm, found.r_std_deg]
+    assert_allclose(given, times * np.array([joint.t_d_std_s, joint.skew_std_ppm, joint.r_std_deg]))
+    assert "its outline fits poorly: this is the answer of joint" in result.to_dict()["note"]
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
