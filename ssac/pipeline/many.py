@@ -43,6 +43,7 @@ class NetworkResult:
     scale_is_known: bool  # lengths are metres; no: distances of the first two cameras placed
     ground: Ground | None  # the frame of cameras and path; None: the first camera's
     seconds: dict[str, float]  # by part, in the order they ran
+    note: str = ""  # what of the call could not be used
 
     @property
     def status(self) -> Status:
@@ -68,6 +69,8 @@ class NetworkResult:
         answer, rows = self.network, list[tuple[str, str]]()
         if answer.reason:
             rows.append(("incomplete", answer.reason))
+        if self.note:
+            rows.append(("note", self.note))
         if self.ground is not None:
             rows.append(("frame", self.ground.said))
         for camera in answer.cameras:
@@ -95,6 +98,7 @@ class NetworkResult:
         return {
             "status": str(answer.status),
             "reason": answer.reason,
+            "note": self.note,
             "cameras": [
                 _camera(camera, name)
                 for camera, name in zip(answer.cameras, self.names, strict=True)
@@ -175,13 +179,26 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             one = pairs[a, b].estimate
             offset = f", t_d {one.t_d_s:.4f} s, 1 sigma {1e3 * one.t_d_std_s:.2f} ms"
             say(f"{one.status}{offset if one.has_offset else ''}")
+    distance_m, note = known.distance_m, ""
     with watch.part("network") as say, one_thread():
-        answer = solve_pairs(chain, pairs, known.distance_m)
+        answer = solve_pairs(chain, pairs, distance_m)
+        if distance_m is not None and not _tells_scale(answer):
+            distance_m, answer = None, solve_pairs(chain, pairs)
+            note = (
+                "--distance is not used: cameras 1 and 2 are not both in the only network"
+            )
         answer, ground = grounded(answer, known, chain.config.rules.ground)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
-    in_metres = ground is not None or known.distance_m is not None
+    in_metres = ground is not None or distance_m is not None
     names = tuple(chain.name(k) for k in range(len(chain)))
-    return NetworkResult(names, chain.rig.name, answer, pairs, in_metres, ground, watch.seconds)
+    return NetworkResult(
+        names, chain.rig.name, answer, pairs, in_metres, ground, watch.seconds, note
+    )
+
+
+def _tells_scale(answer: NetworkAnswer) -> bool:
+    """Whether a distance of the first two cameras is one within the only network."""
+    return [built.members[:2] for built in answer.built] == [[0, 1]]
 
 
 def solve_pairs(

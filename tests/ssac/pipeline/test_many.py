@@ -138,7 +138,8 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     assert path.deviations_m.shape == path.positions_m.shape
     one, other = files.cameras(2)
     found, rig = tmp_path / "out.json", tmp_path / "rig.yaml"
-    code, text, err = sync(files, [one, late, other], "--json", found, "--write-rig", rig)
+    outputs = ("--json", found, "--write-rig", rig, "--distance", 7)  # of a camera without a place
+    code, text, err = sync(files, [one, late, other], *outputs)
     assert code == 1, err
     assert re.search(r"late +no_match", text)
     assert "placed; no pose with the others: camera 2 (no_match)\n" in err
@@ -146,6 +147,9 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     written = load_rig(rig, (1, 3))  # past the camera that has no pose
     np.testing.assert_allclose(written.T_2_1[:3, :3], read_json(found)["cameras"][2]["R"])
     assert not written.in_metres
+    assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
+    assert "--distance is not used" in text
+    assert read_json(found)["scale_is_known"] is False
 
 
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
