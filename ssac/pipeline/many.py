@@ -184,9 +184,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
         answer = solve_pairs(chain, pairs, distance_m)
         if distance_m is not None and not _tells_scale(answer):
             distance_m, answer = None, solve_pairs(chain, pairs)
-            note = (
-                "--distance is not used: cameras 1 and 2 are not both in the only network"
-            )
+            note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         answer, ground = grounded(answer, known, chain.config.rules.ground)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or distance_m is not None

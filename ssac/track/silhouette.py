@@ -400,6 +400,8 @@ def _image_sums(
     never_us = np.iinfo(np.int64).max // 2
     coming_us = np.full(shape, never_us, np.int64)  # its time
     coming_level = np.zeros(shape, np.float32)
+    bare_us = np.zeros((*shape, 2), np.int64)  # between which it is surely not covered
+    longest_us = np.max(ramps_us)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
@@ -420,6 +422,7 @@ def _image_sums(
                 is_none = following_e == NONE
                 coming_us[y[e], x[e]] = never_us if is_none else times_us[following_e]
                 coming_level[y[e], x[e]] = 0 if is_none else abs(levels[following_e])
+            bare_us[y[e], x[e]] = _bare_us(e, times_us, levels, before, after, longest_us)
             e += 1
         area, sum_x, sum_y, sum_xx, sum_xy, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for row in range(top, bottom + 1):
@@ -429,8 +432,11 @@ def _image_sums(
                         seen_bare[row, col] = True
                     if last[row, col] != NONE and times_us[last[row, col]] <= samples_us[i - 1]:
                         last[row, col] = NONE
+                        bare_us[row, col] = 0
                 inside[row, col] = i
                 sums[i, 6] += not seen_bare[row, col]
+                if bare_us[row, col, 0] <= time_us < bare_us[row, col, 1]:
+                    continue
                 a = last[row, col]
                 if a == NONE:
                     ahead_us = float(coming_us[row, col] - time_us)
@@ -460,6 +466,25 @@ def _image_sums(
             sums[i, 4] = sum_xy / area - u * v
             sums[i, 5] = sum_yy / area - v * v
     return sums
+
+
+@numba.njit(cache=True)
+def _bare_us(
+    a: int, times_us: IntArray, levels: Levels, before: Links, after: Links, longest_us: float
+) -> tuple[int, int]:
+    """Give times between which `_level_at` is 0 after event a, of ramps up to the longest."""
+    b, level_a = after[a], abs(float(levels[a]))
+    shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
+    fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
+    start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
+    if level_a > 1.0:
+        return 0, 0
+    if b == NONE:
+        return start_us, np.iinfo(np.int64).max
+    level_b = abs(float(levels[b]))
+    if level_b <= level_a or not (shrank or times_us[b] - times_us[a] > 3.0 * longest_us):
+        return 0, 0
+    return start_us, times_us[b] - int(np.ceil(max(longest_us * level_b, 1.0)))
 
 
 @numba.njit(cache=True)
