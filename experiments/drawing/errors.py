@@ -300,7 +300,9 @@ def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:
     return ok[ok[error.column].notna()]
 
 
-def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **style: Any) -> None:
+def _draw_bars(
+    axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, side: int = 1, **style: Any
+) -> None:
     """Draw means by angle, or by what else is below, a line, and their standard errors."""
     x, marks = means.index.to_numpy(np.float64) + shift_deg, {"ms": 5, **look.style}
     if look.marker == "*":
@@ -308,7 +310,7 @@ def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **
     style = {"ls": "-", "lw": 1.2, "elinewidth": 1.0, "zorder": 3, **style}
     axes.errorbar(x, means["mean"], means["standard_error"], **marks, **style)
     if "runs" in means:
-        mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], **marks)
+        mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], side, **marks)
 
 
 def _marks(looks: Mapping[str, Look], width: float, *others: Named) -> list[Named]:
@@ -425,7 +427,8 @@ def _draw_line(
         refused = 100.0 * (1.0 - found["answered"].fillna(0.0) / found["runs"])
         axes.vlines(found.index, 0.0, refused, color=look.color, lw=3.0)
     elif runs[quantity].notna().any():
-        _draw_bars(axes, found, look, 0.0)
+        # Numbers stand away from the other methods' marks.
+        _draw_bars(axes, found, look, 0.0, -1 if aside < 0.0 else 1)
 
 
 def _set_scales(column: Any, runs: pd.DataFrame, look: FigureConfig, quantity: str) -> None:

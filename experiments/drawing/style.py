@@ -100,15 +100,22 @@ def value_color(name: str, value: Any, place: float) -> Any:
 
 
 def mark_survivors(
-    axes: Axes, x: ArrayLike, means: ArrayLike, answered: ArrayLike, runs: ArrayLike, **look: Any
+    axes: Axes,
+    x: ArrayLike,
+    means: ArrayLike,
+    answered: ArrayLike,
+    runs: ArrayLike,
+    side: int = 1,
+    **look: Any,
 ) -> None:
-    """Draw those means hollow that are not over all runs, with the number that they are over."""
+    """Draw means hollow that are not over all runs; on a side, -1 or 1, over how many they are."""
     from matplotlib.patheffects import withStroke
 
     for place, mean, n, of in np.broadcast(x, means, answered, runs):
         if n < of and np.isfinite(mean):
             axes.plot(place, mean, **{**look, "mfc": "white", "ls": "none", "zorder": 5})
-            at: dict[str, Any] = {"xytext": (2.0, 4.0), "textcoords": "offset points", "zorder": 9}
+            at: dict[str, Any] = {"xytext": (2.0 * side, 4.0), "textcoords": "offset points"}
+            at |= {"ha": "left" if side > 0 else "right", "zorder": 9}
             halo = withStroke(linewidth=2.0, foreground="white")  # before what lies below it
             axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, path_effects=[halo], **at)
 
