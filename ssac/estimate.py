@@ -121,6 +121,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "too_little_motion no_convergence clock_jump no_match poor_fit ambiguous_offset",
         "jump": "search_bound too_little_motion no_match ambiguous_offset",
         "closer": "several_objects clock_jump no_match poor_fit ambiguous_offset",
+        "start": "several_objects no_motion no_convergence no_match poor_fit",
         "one object": "no_motion too_few_samples too_little_motion no_convergence no_match "
         "poor_fit ambiguous_offset",
         "few events": "no_motion too_few_samples too_little_motion",

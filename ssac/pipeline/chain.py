@@ -195,7 +195,7 @@ class Chain:
             sees_several = any(one.used.seen > 1 for one in other.cleans)
             if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
                 answer = other
-        if method.keeps_start:
+        if method.keeps_start and answer.estimate.status in SETTLED_BY["start"]:
             start = self._answered(choose_method(method.starts_from), places, config)
             if start.estimate.status == Status.OK:
                 return retries.by_start(start, method, self.config.rules.retry)

@@ -260,6 +260,8 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
     given = [found.t_d_std_s, found.skew_std_ppm, found.r_std_deg]
     assert_allclose(given, times * np.array([joint.t_d_std_s, joint.skew_std_ppm, joint.r_std_deg]))
     assert "its outline fits poorly: this is the answer of joint" in result.to_dict()["note"]
+    poor["status"] = Status.CLOCK_JUMP  # which tangents tell more surely than their start
+    assert ssac.sync(*recorded.pair, recorded / "rig.yaml").status == Status.CLOCK_JUMP
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
