@@ -169,7 +169,8 @@ def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
     """
     estimate = scaled(start.estimate, rules.start_widened)
     estimate = replace(estimate, method=method.name, start=start.estimate)
-    return replace(start, method=method, estimate=estimate, of_start="its outline fits poorly")
+    why = f"the outline fits poorly, and deviations are {rules.start_widened:g} times as wide"
+    return replace(start, method=method, estimate=estimate, of_start=why)
 
 
 def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:

@@ -259,7 +259,8 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
     assert_allclose(found.clock_covariance, times**2 * joint.clock_covariance)
     given = [found.t_d_std_s, found.skew_std_ppm, found.r_std_deg]
     assert_allclose(given, times * np.array([joint.t_d_std_s, joint.skew_std_ppm, joint.r_std_deg]))
-    assert "its outline fits poorly: this is the answer of joint" in result.to_dict()["note"]
+    said = "outline fits poorly, and deviations are 2 times as wide: this is the answer of joint"
+    assert said in result.to_dict()["note"]
     poor["status"] = Status.CLOCK_JUMP  # which tangents tell more surely than their start
     assert ssac.sync(*recorded.pair, recorded / "rig.yaml").status == Status.CLOCK_JUMP
 
