@@ -150,7 +150,8 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
         yield replace(asked, half_window_s=rules.retry.longer_s)
     hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
     is_hidden = hides_part and found.status in SETTLED_BY["noise"]
-    if is_thin or is_hidden or found.status == Status.AMBIGUOUS_OFFSET:
+    is_one_of_some = found.status == Status.AMBIGUOUS_OFFSET and len(found.alternatives_s) > 0
+    if is_thin or is_hidden or is_one_of_some:
         # Less of the object goes with the noise, or as if it were noise; and it is seen for longer.
         fewer = replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
         yield fewer

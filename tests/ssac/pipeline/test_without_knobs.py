@@ -237,7 +237,8 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
 ):
     clutter = Clutter(0, 0, noise_hz, 5.0, 20, 200)
     seen = tuple(replace(denoised(one), clutter=clutter) for one in events)
-    ways = list(other_ways(asked, seen, Estimate("joint", status, "why")))
+    found = Estimate("joint", status, "why", alternatives_s=np.array([1.0]))  # if it is ambiguous
+    ways = list(other_ways(asked, seen, found))
     fewer = [way for way in ways if way.n_neighbours == 3 and way.n_min == 8]
     assert bool(fewer) is is_tried
     # Of several objects in noise one is told by less filtering and a closer look together.
@@ -245,6 +246,9 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     looks_closer = is_tried and status in SETTLED_BY["closer"]
     looks_closer &= status != Status.AMBIGUOUS_OFFSET  # without noise
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
+    if status == Status.AMBIGUOUS_OFFSET:  # a valley without an end is not told by more of it
+        alone = other_ways(asked, seen, replace(found, alternatives_s=np.empty(0)))
+        assert not any(way.n_min for way in alone)
 
 
 def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recorded, monkeypatch):
