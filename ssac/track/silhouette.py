@@ -474,11 +474,11 @@ def _bare_us(
 ) -> tuple[int, int]:
     """Give times between which `_level_at` is 0 after event a, of ramps up to the longest."""
     b, level_a = after[a], abs(float(levels[a]))
+    if level_a > 1.0:
+        return 0, 0
     shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
     fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
     start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
-    if level_a > 1.0:
-        return 0, 0
     if b == NONE:
         return start_us, np.iinfo(np.int64).max
     level_b = abs(float(levels[b]))
