@@ -195,9 +195,7 @@ class Chain:
             sees_several = any(one.used.seen > 1 for one in other.cleans)
             if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
                 answer = other
-        # With a known pose joint's deviations say less: of two such one was 18 of them off.
-        may_start = bool(method.keeps_start) and not method.needs_extrinsics
-        if may_start and answer.estimate.status in SETTLED_BY["start"]:
+        if retries.may_give_start(method, answer.estimate):
             start = self._answered(choose_method(method.starts_from), places, config)
             if start.estimate.status == Status.OK:
                 return retries.by_start(start, method, self.config.rules.retry)

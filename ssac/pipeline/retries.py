@@ -162,6 +162,13 @@ def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Itera
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
 
 
+def may_give_start(method: Method, found: Estimate) -> bool:
+    """Whether what a method starts from may answer in its place."""
+    # With a known pose joint's deviations say less: of two such one was 18 of them off.
+    is_open = bool(method.keeps_start) and not method.needs_extrinsics
+    return is_open and found.status in SETTLED_BY["start"]
+
+
 def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
     """Give the answer of what a method starts from in its place, where it gives none itself.
 
