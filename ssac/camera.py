@@ -40,6 +40,7 @@ class Camera:
     """Deviations of fu, fv, pu, pv [px], 0: exact; left out, those of a good calibration."""
     readout_s: float | None = None  # rolling shutter: first row to last [s]; None: not known, as 0
     readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
+    centre_was_exchanged: bool = False  # and is not what the rig says: see `with_usual_centres`
 
     def __post_init__(self) -> None:
         K = _floats(self.K)  # of nonsense NaN: `check_camera` says what is wrong
@@ -203,21 +204,21 @@ def check_cameras(rig: Cameras) -> None:
             check_transform(_floats(step), f"{rig.name}, from camera {k} to camera {k + 1}")
 
 
-def check_centres(rig: Cameras) -> None:
-    """Raise SsacError for a principal point that seems exchanged, if nothing else is stated."""
-    for k, camera in enumerate(rig.cameras, start=1):
-        pu, pv = camera.K[:2, 2]
+def with_usual_centres(rig: Cameras) -> Cameras:
+    """Give a rig with principal points put right that seem exchanged, if nothing else is stated."""
+    cameras = []
+    for camera in rig.cameras:
+        given_px = camera.K[:2, 2]
         middle_px = 0.5 * np.array([camera.width - 1, camera.height - 1])
-        off_px, exchanged_px = np.linalg.norm([(pu, pv), (pv, pu)] - middle_px, axis=1)
+        off_px, exchanged_px = np.linalg.norm([given_px, given_px[::-1]] - middle_px, axis=1)
         # Far is a tenth of the width, beyond what lenses are off; near is half of that or less.
         is_exchanged = off_px > 0.1 * camera.width and exchanged_px < 0.5 * off_px
         if is_exchanged and not camera.states_intrinsics:
-            raise SsacError(
-                f"camera {k}: the principal point, ({pu:g}, {pv:g}) px, lies far from the middle of"
-                f" the image of {camera.width} x {camera.height} px, and ({pv:g}, {pu:g}) px near"
-                " it: exchange the two in the rig; or, if they are right, state deviations"
-                " (intrinsics_std, --centre-std)"
-            )
+            K = camera.K.copy()
+            K[:2, 2] = given_px[::-1]
+            camera = replace(camera, K=K, centre_was_exchanged=True)
+        cameras.append(camera)
+    return replace(rig, cameras=tuple(cameras))
 
 
 def check_transform(T: Array, name: str) -> None:

@@ -24,7 +24,7 @@ def test_the_tour_runs_and_finds_what_it_says(
     monkeypatch.chdir(tmp_path)
     # What is tried of a recording that gives nothing takes long, and has tests of its own.
     monkeypatch.setattr(retries, "lies_elsewhere", lambda *_: False)
-    monkeypatch.setattr(retries, "other_ways", lambda *_: ())
+    monkeypatch.setattr(retries, "WAYS", ())
     runpy.run_path(str(ROOT / "docs" / "tour" / "tour.py"))
     said = capsys.readouterr().out
     assert len(plt.get_fignums()) == 1

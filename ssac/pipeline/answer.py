@@ -76,8 +76,15 @@ class Answer:
         """What a user of the offset must know beside its status, a sentence each."""
         estimate, said = self.estimate, list[str]()
         for number, camera in enumerate(self.cameras, start=1):
+            pu, pv = camera.K[:2, 2]
+            if camera.centre_was_exchanged:
+                said.append(
+                    f"camera {number}'s principal point, ({pv:g}, {pu:g}) px in the rig, lies far"
+                    f" from the middle of its image of {camera.width} x {camera.height} px, and is"
+                    f" taken for ({pu:g}, {pv:g}) px, which lies near it: exchange the two in the"
+                    " rig; or, if they are right, state deviations (intrinsics_std, --centre-std)"
+                )
             if not camera.has_centre:
-                pu, pv = camera.K[:2, 2]
                 said.append(
                     f"camera {number}'s principal point, ({pu:g}, {pv:g}) px, lies outside of its"
                     f" image of {camera.width} x {camera.height} px: if the image is not cropped,"
@@ -144,6 +151,11 @@ class Answer:
         if 2.0 * std_ppm**2 > prior_ppm**2 > 0.0:
             return f"rather taken to be within {prior_ppm:g} ppm than found: see --skew-prior"
         return ""
+
+    @property
+    def sees_several(self) -> bool:
+        """Whether more than one object was told apart in a camera."""
+        return any(one.used.seen > 1 for one in self.cleans)
 
     @property
     def looks_at_one_object(self) -> bool:

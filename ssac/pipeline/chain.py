@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Cameras, Rig, check_centres
+from ssac.camera import Cameras, Rig, with_usual_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -72,8 +72,7 @@ class Chain:
         if not isinstance(cameras, Sequence):
             raise SsacError(f"cameras: expected a list of recordings, got {kind_of(cameras)}")
         self.sources = tuple(cameras)
-        self.rig = cameras_of(rig)
-        check_centres(self.rig)
+        self.rig = with_usual_centres(cameras_of(rig))
         self.config = validated(config)
         self.watch = Stopwatch(log)
         self._kept: dict[Hashable, Any] = {}
@@ -187,14 +186,14 @@ class Chain:
             if answer.estimate.has_offset:
                 return answer
         seen = [self.clean(k) for k in places]  # before any object was chosen
-        for way in retries.other_ways(self.config, seen, answer.estimate):
-            chain = self.under(way)
-            other = chain._asked(method, places, way.resolved(self._has_track(*places)))
-            if other.estimate.status == Status.OK:
-                return other
-            sees_several = any(one.used.seen > 1 for one in other.cleans)
-            if answer.estimate.status in SETTLED_BY["closer"] and sees_several:
-                answer = other
+        for ways in retries.WAYS:
+            for way in ways(self.config, seen, answer):
+                chain = self.under(way)
+                other = chain._asked(method, places, way.resolved(self._has_track(*places)))
+                if other.estimate.status == Status.OK:
+                    return other
+                if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
+                    answer = other
         if retries.may_give_start(method, answer.estimate):
             start = self._answered(choose_method(method.starts_from), places, config)
             if start.estimate.status == Status.OK:

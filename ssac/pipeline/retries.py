@@ -128,38 +128,47 @@ def _has_usual_windows(asked: Config) -> bool:
     return all(getattr(asked, name) == getattr(plain, name) for name in fields)
 
 
-def other_ways(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Iterator[Config]:
-    """Give other ways to see the object: closer, over longer windows, of fewer events."""
-    of_events, plain, rules = [one for one in cleans if not one.has_track], Config(), asked.rules
-    if not of_events:
+def closer_look(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Iterator[Config]:
+    """Give a way to tell objects apart that are closer to each other."""
+    is_of_events = not all(one.has_track for one in cleans)
+    if is_of_events and answer.estimate.status in SETTLED_BY["closer"]:
+        yield from _closer(asked)
+
+
+def _closer(asked: Config) -> Iterator[Config]:
+    rules = asked.rules
+    if asked.choose_object and rules.objects == Config().rules.objects:
+        yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
+
+
+def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Iterator[Config]:
+    """Give other ways to see the object: over longer windows, of fewer events."""
+    of_events, found = [one for one in cleans if not one.has_track], answer.estimate
+    if not of_events or not _has_usual_windows(asked):
         return
-    is_closer = (
-        asked.choose_object
-        and rules.objects == plain.rules.objects
-        and found.status in SETTLED_BY["closer"]
-    )
-    closer = replace(rules, objects=rules.retry.closer)
-    if is_closer:
-        yield replace(asked, rules=closer)
-    if not _has_usual_windows(asked):
-        return
+    rules = asked.rules
     backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
     is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
+    is_several = found.status == Status.SEVERAL_OBJECTS or answer.sees_several
     is_thin = found.status in SETTLED_BY["few events"]
     if is_thin or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
-    hides_part = is_noisy or found.status == Status.SEVERAL_OBJECTS
-    is_hidden = hides_part and found.status in SETTLED_BY["noise"]
+    is_hidden = (is_noisy or is_several) and found.status in SETTLED_BY["noise"]
     is_one_of_some = found.status == Status.AMBIGUOUS_OFFSET and len(found.alternatives_s) > 0
     if is_thin or is_hidden or is_one_of_some:
         # Less of the object goes with the noise, or as if it were noise; and it is seen for longer.
         fewer = replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
         yield fewer
-        if is_closer and (is_thin or is_hidden):
-            yield replace(fewer, rules=closer)
+        is_crowded = found.status in SETTLED_BY["closer"] or answer.sees_several
+        if is_crowded and (is_thin or is_hidden):
+            yield from _closer(fewer)
     if is_thin and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
+
+
+WAYS = closer_look, other_windows
+"""Other ways to look at recordings, each by what there is after the one before."""
 
 
 def may_give_start(method: Method, found: Estimate) -> bool:

@@ -12,7 +12,9 @@ from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.methods import tangency
-from ssac.pipeline.retries import by_several, less_certain, other_clocks, other_ways
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.registry import METHODS
+from ssac.pipeline.retries import WAYS, by_several, less_certain, other_clocks
 from ssac.points import PointTrack
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
@@ -32,6 +34,7 @@ from tests.ssac.synthetic import (
 from tests.ssac.tracks import frame_track, frame_tracks
 
 T_D_S = 0.05
+PLAIN = Config()
 SCENE = make_scene(1, duration_s=8.0)
 UNSTATED = Camera(K, WIDTH, HEIGHT)  # whose deviations are those of a good calibration
 
@@ -194,11 +197,15 @@ def test_a_principal_point_outside_of_the_image_is_told(events):
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
 
 
-def test_a_principal_point_that_is_exchanged_is_refused_unless_its_deviation_is_stated(events):
-    few, cameras = [one[:100] for one in events], [UNSTATED, camera_of(200.0, 200.0, 130.0, 173.0)]
-    with pytest.raises(ssac.SsacError, match=r"camera 2: .*\(173, 130\) px near it: exchange"):
-        ssac.sync(*few, cameras)
-    assert ssac.sync(*few, cameras, centre_std_px=1.0).status != Status.OK  # too few, but tried
+def test_an_exchanged_principal_point_is_put_right_and_said_unless_its_deviation_is_stated(events):
+    exchanged = [UNSTATED, camera_of(200.0, 200.0, 130.0, 173.0)]
+    usual, found = ssac.sync(*events, [UNSTATED, UNSTATED]), ssac.sync(*events, exchanged)
+    assert (found.status, found.t_d_s) == (Status.OK, usual.t_d_s)
+    np.testing.assert_array_equal(found.R, usual.R)
+    assert "camera 2's principal point, (130, 173) px in the rig" in found.note
+    assert "taken for (173, 130) px" in found.note
+    stated = ssac.sync(*[one[:100] for one in events], exchanged, centre_std_px=1.0)  # too few
+    assert "principal point" not in stated.note
 
 
 @pytest.mark.parametrize("seen_hz", [150.0, 0.0])
@@ -217,6 +224,11 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     else:
         assert result.status == Status.NO_MOTION
         assert "0.25 Hz of each pixel hides it" in result.estimate.reason
+
+
+def other_ways(found, seen, asked=PLAIN):
+    answer = Answer(found, METHODS["joint"], seen, Rig(CAMERA, CAMERA), asked)
+    return [way for ways in WAYS for way in ways(asked, seen, answer)]
 
 
 @pytest.mark.parametrize(
@@ -238,7 +250,7 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     clutter = Clutter(0, 0, noise_hz, 5.0, 20, 200)
     seen = tuple(replace(denoised(one), clutter=clutter) for one in events)
     found = Estimate("joint", status, "why", alternatives_s=np.array([1.0]))  # if it is ambiguous
-    ways = list(other_ways(asked, seen, found))
+    ways = other_ways(found, seen, asked)
     fewer = [way for way in ways if way.n_neighbours == 3 and way.n_min == 8]
     assert bool(fewer) is is_tried
     # Of several objects in noise one is told by less filtering and a closer look together.
@@ -247,8 +259,18 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     looks_closer &= status != Status.AMBIGUOUS_OFFSET  # without noise
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
     if status == Status.AMBIGUOUS_OFFSET:  # a valley without an end is not told by more of it
-        alone = other_ways(asked, seen, replace(found, alternatives_s=np.empty(0)))
+        alone = other_ways(replace(found, alternatives_s=np.empty(0)), seen)
         assert not any(way.n_min for way in alone)
+
+
+def test_of_several_things_that_are_lost_each_less_is_filtered_and_they_are_looked_at_closer(
+    events,
+):
+    closer = Config().rules.retry.closer
+    for things, is_tried in ((1, False), (2, True)):
+        seen = tuple(replace(denoised(one), used=ObjectsUsed(things, 0.4)) for one in events)
+        ways = other_ways(Estimate("joint", Status.TOO_FEW_SAMPLES, "why"), seen)
+        assert any(way.n_min == 8 and way.rules.objects == closer for way in ways) is is_tried
 
 
 def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recorded, monkeypatch):
@@ -273,7 +295,7 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
 @pytest.mark.parametrize("status", POSE_IS_OPEN)
 def test_more_is_tried_where_the_offset_is_as_open_as_the_pose(events, status, t_d_std_s, is_tried):
     found = Estimate("joint", status, "why", T_D_S, t_d_std_s=t_d_std_s)
-    ways = other_ways(Config(), tuple(denoised(one) for one in events), found)
+    ways = other_ways(found, tuple(denoised(one) for one in events))
     assert (Config(half_window_s=0.04) in ways) is is_tried
     clocks = other_clocks(Config(), Config().resolved(has_track=False), False, found)
     assert [name for name, _ in clocks] == ["fast"] * is_tried

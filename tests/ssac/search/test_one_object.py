@@ -150,7 +150,7 @@ def test_three_cameras_keep_one_flight(two_flights):
 
 
 def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, monkeypatch):
-    monkeypatch.setattr(retries, "other_ways", lambda *_: ())
+    monkeypatch.setattr(retries, "WAYS", ())
     third = seen(third_camera(6, 7)[0])
     chain = Chain((*two_flights[0], *third), Cameras((CAMERA,) * 3), Config(interval_s=NEAR))
     for method in ("joint", "ssac", "tangency"):
