@@ -29,7 +29,7 @@ SCENE = make_scene(0, duration_s=DURATION_S)
 class Seen:
     """What cameras saw, and where they stand."""
 
-    cameras: tuple[Any, ...]  # events or a track, each
+    cameras: Sequence[Any]  # events or a track, each
     scenes: tuple[Scene, ...] = (SCENE,)  # camera 1 and each further camera
     has_pose: bool = True  # in the rig
     t_d_s: float | None = T_D_S  # of camera 2's frames; None: event cameras give none
@@ -79,13 +79,13 @@ def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
     return replace(scene, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))
 
 
-def _crowd(*seeds: int, duration_s: float = DURATION_S) -> tuple[Any, ...]:
+def _crowd(*seeds: int, duration_s: float = DURATION_S) -> list[Any]:
     """Events of several flights, the first one twice as dense as the others."""
     flights = [
         make_events(make_scene(seed, duration_s=duration_s), seed, T_D_S, RATE_HZ * share, SIZE_M)
         for seed, share in zip(seeds, (1.0, 0.5, 0.5), strict=False)
     ]
-    return tuple(mixed(*streams)[0] for streams in zip(*flights, strict=True))
+    return [mixed(*streams)[0] for streams in zip(*flights, strict=True)]
 
 
 LONG = make_scene(1, duration_s=8.0)
@@ -97,28 +97,23 @@ def _clocked(one: Any, other: Any, clock: Callable[[Array], Array]) -> Seen:
     return Seen((one, clocked(other, clock)))
 
 
-def _jump(t_us: Array) -> Array:
-    return t_us + 20_000.0 * (t_us > 0.5 * DURATION_S * US_PER_S)
+def _tracks(
+    t_d_s: float = T_D_S, rate: float = 1.0, readout_s: float = 0.0, **options: Any
+) -> Seen:
+    """Tracks of the longer flight; camera 1 has the readout."""
+    return Seen(frame_tracks(LONG, t_d_s, rate, (readout_s, 0.0)), (LONG,), options=options)
 
 
-def _noisy() -> Seen:
-    seen = zip(_events(), (0, 1), strict=True)
-    return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.1, DURATION_US, k)) for one, k in seen))
-
-
-def _cut(tracks: list[PointTrack]) -> tuple[PointTrack, ...]:
+def _rounded(seen: Seen) -> Seen:
     """Times in whole hundredths of a second."""
-    return tuple(replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in tracks)
+    tracks = [replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in seen.cameras]
+    return replace(seen, cameras=tracks)
 
 
 def _wandering() -> Seen:
     one, other = frame_tracks(LONG, 0.3)
     wandered_s = other.times_s + 0.012 * np.sin(2.0 * np.pi * other.times_s / LONG.duration_s)
     return Seen((one, replace(other, times_s=wandered_s)), (LONG,))
-
-
-def _of_long(tracks: Sequence[PointTrack], **options: Any) -> Seen:
-    return Seen(tuple(tracks), (LONG,), options=options)
 
 
 def _round(seed: int) -> tuple[Scene, Scene]:
@@ -136,7 +131,7 @@ def _three(seed: int, share: float = 1.0) -> list[Any]:
 
 def _three_with_another() -> Seen:
     both = zip(_three(4), _three(5, 0.5), strict=True)
-    return Seen(tuple(mixed(*one)[0] for one in both), _round(4))
+    return Seen([mixed(*one)[0] for one in both], _round(4))
 
 
 FAR_S = 1000.0
@@ -146,47 +141,39 @@ LINE = _along(lambda t: [1.2 * np.sin(2.0 * t), 0.5 * np.sin(2.0 * t), 0.0])
 
 RECORDINGS: dict[str, Callable[[], Seen]] = {
     # Events
-    "ordinary": lambda: Seen(tuple(_events())),
-    "without_pose": lambda: Seen(tuple(_events()), has_pose=False),
-    "known_extrinsics": lambda: Seen(tuple(_events()), options={"known_extrinsics": True}),
-    "without_frames": lambda: Seen(tuple(_events()), t_d_s=None),
-    "no_denoise": lambda: Seen(tuple(_events()), options={"config": {"denoise": False}}),
+    "ordinary": lambda: Seen(_events()),
+    "without_pose": lambda: Seen(_events(), has_pose=False),
+    "known_extrinsics": lambda: Seen(_events(), options={"known_extrinsics": True}),
+    "without_frames": lambda: Seen(_events(), t_d_s=None),
+    "no_denoise": lambda: Seen(_events(), options={"config": {"denoise": False}}),
     "skewed_clock": lambda: _clocked(*_events(), lambda t: (1.0 + 60e-6) * t),
-    "clock_jump": lambda: _clocked(*_events(), _jump),
-    "rounded_events": lambda: Seen(
-        tuple(clocked(one, lambda t: t // 1000 * 1000) for one in _events())
-    ),
-    "far_apart": lambda: Seen(tuple(_events(t_d_s=FAR_S)), t_d_s=FAR_S),
-    "interval_without_common_time": lambda: Seen(
-        tuple(_events(t_d_s=FAR_S)), t_d_s=FAR_S, options=APART
-    ),
-    "events_at_rest": lambda: Seen(tuple(_events(REST))),
-    "noise_alone": lambda: Seen(
-        tuple(noise(WIDTH, HEIGHT, 1.0, DURATION_US // 5, seed) for seed in (0, 1))
-    ),
+    "clock_jump": lambda: _clocked(*_events(), lambda t: t + 20_000.0 * (t > 0.5 * DURATION_US)),
+    "rounded_events": lambda: Seen([clocked(one, lambda t: t // 1000 * 1000) for one in _events()]),
+    "far_apart": lambda: Seen(_events(t_d_s=FAR_S), t_d_s=FAR_S),
+    "interval_without_common_time": lambda: Seen(_events(t_d_s=FAR_S), t_d_s=FAR_S, options=APART),
+    "events_at_rest": lambda: Seen(_events(REST)),
+    "noise_alone": lambda: Seen([noise(WIDTH, HEIGHT, 1.0, DURATION_US // 5, k) for k in range(2)]),
     "copied": lambda: _clocked(*(2 * _events()[:1]), lambda t: t + 1000.0),
-    "straight_line": lambda: Seen(tuple(_events(LINE))),
-    "tiny": lambda: Seen(tuple(_events(size_m=0.06))),
-    "noisy": _noisy,
+    "straight_line": lambda: Seen(_events(LINE)),
+    "tiny": lambda: Seen(_events(size_m=0.06)),
+    "noisy": lambda: Seen(
+        [merged(one, noise(WIDTH, HEIGHT, 0.1, DURATION_US, k)) for k, one in enumerate(_events())]
+    ),
     "two_drones": lambda: Seen(_crowd(4, 5), (make_scene(4),)),
     "people": lambda: Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),)),
     # Tracks
-    "tracks": lambda: _of_long(frame_tracks(LONG, T_D_S)),
-    "tracks_far_apart": lambda: _of_long(frame_tracks(LONG, 7.3)),
-    "tracks_in_an_interval": lambda: _of_long(
-        frame_tracks(LONG, T_D_S), config={"interval_s": (-0.5, 0.6)}
-    ),
-    "rounded_tracks": lambda: _of_long(_cut(frame_tracks(LONG, T_D_S))),
+    "tracks": _tracks,
+    "tracks_far_apart": lambda: _tracks(7.3),
+    "tracks_in_an_interval": lambda: _tracks(config={"interval_s": (-0.5, 0.6)}),
+    "rounded_tracks": lambda: _rounded(_tracks()),
     "wandering_clock": _wandering,
-    "tracks_of_3_s": lambda: Seen(tuple(frame_tracks(SHORT, T_D_S)), (SHORT,)),
-    "tracks_at_rest": lambda: Seen(tuple(frame_tracks(REST, T_D_S))),
-    "frame_rate": lambda: _of_long(frame_tracks(LONG, 3.0, 0.71), config={"rates": (0.705, 0.715)}),
-    "readout": lambda: _of_long(
-        frame_tracks(LONG, T_D_S, readouts_s=(0.03, 0.0)), estimate_readout=True
-    ),
+    "tracks_of_3_s": lambda: Seen(frame_tracks(SHORT, T_D_S), (SHORT,)),
+    "tracks_at_rest": lambda: Seen(frame_tracks(REST, T_D_S)),
+    "frame_rate": lambda: _tracks(3.0, 0.71, config={"rates": (0.705, 0.715)}),
+    "readout": lambda: _tracks(readout_s=0.03, estimate_readout=True),
     "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], frame_tracks(SCENE, T_D_S)[1])),
     # Three cameras
-    "three_cameras": lambda: Seen(tuple(_three(4)), _round(4)),
+    "three_cameras": lambda: Seen(_three(4), _round(4)),
     "three_cameras_two_drones": _three_with_another,
     "three_mixed": lambda: Seen(
         (*_three(4)[:2], frame_track(_round(4)[1], 2, 25.0, 0.2)), _round(4)

@@ -18,19 +18,8 @@ import ssac
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS
-from tests.answers import (
-    Recorded,
-    answered,
-    by_chain,
-    by_command_line,
-    by_network,
-    by_python,
-    differences,
-    row_by_study,
-    row_of,
-    told_by_python,
-    untimed,
-)
+from tests import answers
+from tests.answers import Recorded, answered, differences, untimed
 from tests.pipeline_recordings import RECORDINGS, write
 from tests.ssac.command import read_json, run
 
@@ -66,22 +55,27 @@ def found(monkeypatch: pytest.MonkeyPatch) -> dict[bytes, dict[Any, Any]]:
 def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
     """Name the ways of a recording: what each must answer, by the Python call, and its answer."""
     if len(recorded.files) > 2:
-        yield "network", of_pairs(recorded, method), answered(by_network, recorded, method)
+        yield "network", of_pairs(recorded, method), answered(answers.by_network, recorded, method)
         return
-    told = answered(told_by_python, recorded, method)
-    yield "command line", told.get("json", told), answered(by_command_line, recorded, method)
+    told = answered(answers.told_by_python, recorded, method)
+    yield (
+        "command line",
+        told.get("json", told),
+        answered(answers.by_command_line, recorded, method),
+    )
     if recorded.name != "without_pose":  # studies know every pose
-        row = told if "error" in told else row_of(told["estimate"], recorded, method)
-        yield "row", row, answered(row_by_study, recorded, method)
+        row = told if "error" in told else answers.row_of(told["estimate"], recorded, method)
+        yield "row", row, answered(answers.row_by_study, recorded, method)
 
 
 def of_pairs(recorded: Recorded, method: str) -> dict[Any, Any]:
     """Answer each pair of cameras alone; the first error is that of all."""
     # One object is chosen for the whole rig, which may be another than a pair alone chooses.
-    alone = by_chain if recorded.name == "three_cameras_two_drones" else by_python
+    is_one = recorded.name == "three_cameras_two_drones"
+    alone = answers.by_chain if is_one else answers.by_python
     pairs = combinations(range(len(recorded.files)), 2)
-    answers = {pair: answered(alone, recorded, method, pair) for pair in pairs}
-    return next((one for one in answers.values() if "error" in one), answers)
+    found = {pair: answered(alone, recorded, method, pair) for pair in pairs}
+    return next((one for one in found.values() if "error" in one), found)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
