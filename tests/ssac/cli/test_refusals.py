@@ -112,14 +112,6 @@ EVENTS = [
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
     ("cam1.h5 --positions zero.h5", "zero.h5: the first line must be camera,x_m,y_m,z_m"),
     ("cam1.h5 --positions cam1.h5", "cam1.h5: not a text file of positions"),
-    (
-        "both.bag",
-        "both.bag: events or points are on 2 topics, /left, /right: .*, as both.bag/left$",
-    ),
-    (
-        "both.bag/up",
-        r"both.bag: there is no topic /up, only /left .*, /right .*: name one of these",
-    ),
     ("cam1.h5 --topics /left /right", "--topics: expected one ROS bag or two, got cam1.h5 cam2.h5"),
     ("both.bag/left --json both.bag", "both.bag: is one of the inputs"),
     ("cam1.h5 --search -1", "Option '--search' requires 2 arguments; see .*ssac.cli sync --help$"),
@@ -183,7 +175,6 @@ CASES = [
     (".", "cam1.h5 {}", None, "cam2.h5", "Missing option '--rig'"),
     *((".", "{}", "rig.yaml", *case) for case in ONE),
     (".", "one.bag {}", "rig.yaml", "one.bag", "one.bag: given for both cameras"),
-    (".", "both.bag {}", "rig.yaml", "both.bag", "both.bag: events or points are on 2 topics"),
 ]
 
 
