@@ -11,18 +11,9 @@ from importlib.metadata import version
 import numba
 import pytest
 
-from ssac.cli import convert, sync
+from ssac.cli import convert, exits, sync
 from ssac.cli.command_line import Entry, command_line, run
-from ssac.cli.exits import (
-    BAD_INPUT,
-    BUG,
-    DONE,
-    INTERRUPTED,
-    NO_ESTIMATE,
-    PIPE_CLOSED,
-    fail,
-    guarded,
-)
+from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, fail, guarded
 from ssac.cli.options import config_of
 from ssac.cli.progress import compilation_told, progress, say
 from ssac.config import Config
@@ -76,10 +67,15 @@ def ssac(*args: str) -> int:
     return run(command_line(ENTRIES, "What it is."), args, "ssac")
 
 
+def helped(capsys, *args: str) -> str:
+    """Give the help that is shown, on one line."""
+    assert ssac(*args) == DONE
+    return " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize("flag", ["-h", "--help"])
 def test_the_list_is_grouped_whole_and_imports_nothing(flag, capsys):
-    assert ssac(flag) == DONE
-    shown = " ".join(capsys.readouterr().out.split())
+    shown = helped(capsys, flag)
     assert "What it is. Options: " in shown
     assert f"Use: greet {LONG} measure Measure. Reproduce: broken Cannot be imported." in shown
     assert "greeting_of_a_test" not in sys.modules
@@ -90,13 +86,11 @@ def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
     assert capsys.readouterr().out == "hello ada!\n"
     assert ssac("greet", "nobody") == 1
     capsys.readouterr()
-    assert ssac("greet", "--help") == DONE
-    shown = " ".join(capsys.readouterr().out.split())
+    shown = helped(capsys, "greet", "--help")
     usage = "Usage: ssac greet [OPTIONS] NAME Say hello. Arguments: NAME [required]"
     assert shown.startswith(usage)
     assert shown.endswith("People: ada wrote programs")
-    assert ssac("measure", "--help") == DONE
-    shown = " ".join(capsys.readouterr().out.split())
+    shown = helped(capsys, "measure", "--help")
     assert "--half-window SECONDS Of a sample. From 0.001 to 0.25 seconds. [default: 0.02]" in shown
     assert "--size W H Of a sensor. From 1 to 99. [default: 9, 9]" in shown
     assert "--extent METRES Of a thing. From 1 to 2 metres." in shown
@@ -370,7 +364,7 @@ def test_a_reader_that_stops_reading_is_no_crash():
     process = guarded_process("    print('x')\n    return 0", stdout=write)
     os.close(write)
     assert process.communicate() == (None, b"")
-    assert process.returncode == PIPE_CLOSED
+    assert process.returncode == exits.PIPE_CLOSED
 
 
 SLEEP = "import time\n{0}print('here', flush=True)\n{0}time.sleep(60)\n"

@@ -50,25 +50,30 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
     (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
 
 
+HEAD = "t_s,x_px,y_px\n"
+TEXTS = {
+    "no_header": ("{rows}", "first line must name the columns"),
+    "half_a_header": ("t_s,x_px\n{rows}", "must name the columns"),
+    "unsorted": (HEAD + "1,2,3\n0,1,2\n", "must be in time order"),
+    "twice": (HEAD + "0,1,2\n0,1,2\n", "must be in time order"),
+    "nan": (HEAD + "-1,nan,3\n{rows}", "no finite number"),
+    "text": (HEAD + "-1,here,3\n{rows}", "must be numbers"),
+    "empty_field": (HEAD + "-1,,3\n{rows}", "no finite number"),
+    "commas": (HEAD + "-1,0,100,5,90,25\n{rows}", "write decimals with a point"),
+    "outside": (HEAD + "-1,346,3\n{rows}", "the image is 346 x 260 px"),
+    "nothing": (HEAD, "there are no points"),
+}
+"""Tracks with the rows of a right one, and what is said of them."""
+
+
 def make_tracks_of_all_kinds(folder: Path) -> None:
     save_pair(folder, make_scene(1), 7.3)
-    track, lines = load_track(folder / "cam1.csv"), (folder / "cam1.csv").read_text().splitlines()
-    head, *rows = lines
-    for name, text in {
-        "no_header": rows,
-        "half_a_header": ["t_s,x_px", *rows],
-        "unsorted": [head, *reversed(rows)],
-        "twice": [head, rows[0], *rows],
-        "nan": [head, "-1,nan,3", *rows],
-        "text": [head, "-1,here,3", *rows],
-        "empty_field": [head, "-1,,3", *rows],
-        "commas": [head, "-1,0,100,5,90,25", *rows],
-        "outside": [head, "-1,346,3", *rows],
-        "nothing": [head],
-        "no_attitude": ["t_s,x_m,y_m,z_m", "0,1,2,3"],
-        "cameras_twice": ["camera,x_m,y_m,z_m", "1,0,0,0", "1,1,0,0"],
-    }.items():
-        (folder / f"{name}.csv").write_text("\n".join(text) + "\n")
+    track = load_track(folder / "cam1.csv")
+    _, rows = (folder / "cam1.csv").read_text().split("\n", 1)
+    for name, (text, _) in TEXTS.items():
+        (folder / f"{name}.csv").write_text(text.format(rows=rows))
+    (folder / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    (folder / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
     for name, times_s in {
         "whole_us": np.rint(1e6 * track.times_s),
         "wraps": track.times_s % (2**24 * 1e-6),
@@ -119,16 +124,7 @@ EVENTS = [
 ]
 
 TRACKS = [
-    ("no_header.csv", "no_header.csv: .*first line must name the columns"),
-    ("half_a_header.csv", "half_a_header.csv: .*must name the columns"),
-    ("unsorted.csv", "unsorted.csv.*must be in time order"),
-    ("twice.csv", "twice.csv.*must be in time order"),
-    ("nan.csv", "nan.csv.*no finite number"),
-    ("text.csv", "text.csv.*must be numbers"),
-    ("empty_field.csv", "empty_field.csv.*no finite number"),
-    ("commas.csv", "commas.csv.*write decimals with a point"),
-    ("outside.csv", "outside.csv.*the image is 346 x 260 px"),
-    ("nothing.csv", "nothing.csv.*there are no points"),
+    *((f"{name}.csv", f"{name}.csv.*{message}") for name, (_, message) in TEXTS.items()),
     ("whole_us.csv", "give t_s in seconds"),
     ("wraps.csv", "counter of 24 bits"),
     ("cam1.csv --rig slow.yaml", "readout_s is 50 ms, but frames follow each other in"),
