@@ -30,7 +30,6 @@ from tests.ssac.tracks import frame_track, rig_document
 
 SCENE = make_scene(0, duration_s=5.0)
 EVENTS = make_events(SCENE, 0, 0.05, 6_000.0, 0.4)
-THIRD = make_events(make_scene(0, 60.0, 5.0), 0, -0.1, 5_000.0, 0.4)[1]
 CAMERA = Camera(K, WIDTH, HEIGHT)
 RIG = Rig(CAMERA, CAMERA)
 OTHER_ORDER = np.dtype([("p", "u1"), ("y", "<i4"), ("t", "<i8"), ("x", "<i4")])
@@ -44,8 +43,7 @@ def files(tmp_path_factory) -> Path:
     for k, events in enumerate(EVENTS, start=1):
         save_events_h5(folder / f"cam{k}.h5", events, WIDTH, HEIGHT)
     save_track(folder / "cam1.csv", frame_track(SCENE, 1, 30.0))
-    rig = rig_document()
-    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig_document()))
     return folder
 
 
@@ -58,23 +56,15 @@ def assert_same(one: Estimate, other: Estimate) -> None:
     assert list(differences(fields_of(one), fields_of(other))) == []
 
 
-def as_fields(events, dtype):
-    """Give events with their fields in another order, of other widths."""
-    found = np.empty(len(events), dtype)
-    for name in dtype.names:
-        found[name] = events[name]
-    return found
-
-
 # --- Every kind of input is opened as the same ---
 
 CAMERAS = {
     "path": lambda files, k: files / f"cam{k}.h5",
     "str": lambda files, k: str(files / f"cam{k}.h5"),
     "array": lambda files, k: EVENTS[k - 1],
-    "other order": lambda files, k: as_fields(EVENTS[k - 1], OTHER_ORDER),
+    "other order": lambda files, k: EVENTS[k - 1][[*OTHER_ORDER.names]].astype(OTHER_ORDER),
     "big endian": lambda files, k: EVENTS[k - 1].astype(EVENTS[0].dtype.newbyteorder(">")),
-    "Metavision": lambda files, k: as_fields(EVENTS[k - 1], METAVISION),
+    "Metavision": lambda files, k: EVENTS[k - 1][[*METAVISION.names]].astype(METAVISION),
     "Observation": lambda files, k: Observation(EVENTS[k - 1]),
     "EventFile": lambda files, k: ssac.load_events(files / f"cam{k}.h5"),
 }
@@ -95,11 +85,8 @@ TRACKS = {
 
 @pytest.mark.parametrize("kind", CAMERAS)
 def test_every_kind_of_camera_is_opened_as_the_same(kind, files):
-    for source, events in zip(
-        opened([CAMERAS[kind](files, k) for k in (1, 2)], Cameras((CAMERA, CAMERA))),
-        EVENTS,
-        strict=True,
-    ):
+    cameras = [CAMERAS[kind](files, k) for k in (1, 2)]
+    for source, events in zip(opened(cameras, Cameras((CAMERA, CAMERA))), EVENTS, strict=True):
         assert not source.has_track
         np.testing.assert_array_equal(source.read().events, events, strict=True)
 
@@ -134,8 +121,8 @@ def test_a_config_or_its_fields_are_the_same():
     assert all(np.array_equal(one, other) for one, other in zip(given, EVENTS, strict=True))
     assert np.array_equal(camera.K, K)
     assert_same(ssac.sync(*EVENTS, RIG, "joint", **fields).estimate, by_config.estimate)
-    mixed = ssac.sync(*EVENTS, RIG, "joint", config=Config(trials=500, seed=9), **{
-        name: value for name, value in fields.items() if name != "trials"})  # fmt: skip
+    trials = fields.pop("trials")
+    mixed = ssac.sync(*EVENTS, RIG, "joint", config=Config(trials=trials, seed=9), **fields)
     assert_same(mixed.estimate, by_config.estimate)
     assert by_config.answer.config.interval_s == (-0.3, 0.4)
 
@@ -193,7 +180,6 @@ BAD_K = [3.0, None, np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
 POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
 WRONG = {
     "an int": ((1, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got int 1$"),
-    "nothing": ((None, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got NoneType None$"),
     "no camera 2": ((ONE, None, RIG), rf"^camera 2: {A_CAMERA}.* got NoneType None$"),
     "a dict": (({name: ONE[name] for name in "txyp"}, OTHER, RIG), "^camera 1: .* got dict$"),
     "no fields": ((np.zeros((5, 4)), OTHER, RIG), r"^camera 1: .*without t, x, y, p: build it"),
@@ -204,14 +190,12 @@ WRONG = {
         r"^sync: a list of cameras stands for all .* call sync\(\[a, b, c\], rig, method=",
     ),
     "a list of events alone": (([(1, 2, 3, 4), (2, 3, 4, 5)], RIG), "^camera 1: .* got tuple"),
-    "a list of one": (([ONE], RIG), "^sync: expected two cameras or more, got a list of 1$"),
     "an empty list": (([], RIG), "^sync: expected two cameras or more, got a list of 0$"),
     "a method in the rig's place": (([ONE, OTHER], RIG, "joint"), "beside it stands their rig"),
     "no rig": ((ONE, OTHER), "^rig: expected a rig file, a ssac.Rig or the ssac.Camera of each"),
     "a camera as rig": ((ONE, OTHER, CAMERA), "^rig: expected .* got Camera"),
     "matrices as rig": ((ONE, OTHER, [K, K]), "^rig: expected .* got list"),
     "one camera": ((ONE, OTHER, [CAMERA]), "^rig: it has 1 cameras, and there are 2 recordings"),
-    "three cameras": ((ONE, OTHER, [CAMERA] * 3), "^rig: it has 3 cameras, and there are 2 record"),
     "no such rig": ((ONE, OTHER, "nix.yaml"), r"^nix\.yaml: there is no such file"),
     "half a size": ((ONE, OTHER, Rig(replace(CAMERA, height=260.5), CAMERA)), "got 346 x 260.5"),
     "half a rig": ((ONE, OTHER, Rig(CAMERA, None)), "^camera 2: expected a ssac.Camera, got None"),
@@ -236,9 +220,7 @@ WRONG = {
     "a track of nothing": ((PointTrack(None, None), OTHER, RIG), "^camera 1: a track must have"),
     "a number as method": ((ONE, OTHER, RIG, 3), "^unknown method 3: use one of ssac, ssac-known"),
     "no name": ((ONE, OTHER, RIG, ""), "^unknown method '': use one of"),
-    "a misspelt method": ((ONE, OTHER, RIG, "tangnecy"), "^unknown method 'tangnecy': use one of"),
     "a list as method": ((ONE, OTHER, RIG, ["joint"]), r"^unknown method \['joint'\]: use one of"),
-    "a config as method": ((ONE, OTHER, RIG, Config()), r"^unknown method Config\(.*: use one of"),
 }
 for k, bad in enumerate(BAD_K):
     WRONG[f"K {k}"] = ((ONE, OTHER, [CAMERA, Camera(bad, WIDTH, HEIGHT)]), "^camera 2: .*got")
@@ -314,7 +296,7 @@ def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
     of_two = {"cameras": (1, 3), "known_extrinsics": True, "estimate_readout": True}
     for name, value in of_two.items():
         with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
-            ssac.sync([ONE, OTHER, THIRD], [CAMERA] * 3, **{name: value})
+            ssac.sync([ONE, OTHER, ONE], [CAMERA] * 3, **{name: value})
     for fields in ({"distance_m": "a"}, {"distance_m": -1}, {"distance_m": 1, "rtk": Path("a")}):
         with pytest.raises(SsacError, match=r"distance_m"):
             Known(**fields)

@@ -22,19 +22,10 @@ from ssac.files.track_files import save_track
 from ssac.files.whole_file import FIGURE_SUFFIXES
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.pose import moved_pose
-from ssac.pipeline import pair_charts
+from ssac.pipeline import pair_charts, plots
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.html_report import report_page, seen_by
 from ssac.pipeline.pair_charts import sample_charts
-from ssac.pipeline.plots import (
-    BLUE,
-    RED,
-    YELLOW,
-    ZOOM_S,
-    draw_epipolar,
-    draw_search,
-    plane_angles,
-)
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_rows, report_text
 from ssac.pipeline.retries import TINY
@@ -59,9 +50,14 @@ def result(recorded):
     return ssac.sync(*recorded.pair, recorded / "rig.yaml")
 
 
+def changed(answer: Answer, **changes) -> Answer:
+    """Give the answer with another estimate."""
+    return replace(answer, estimate=replace(answer.estimate, **changes))
+
+
 def told(answer: Answer, **changes):
     """Give the text and the JSON for another estimate than the answer's."""
-    other = replace(answer, estimate=replace(answer.estimate, **changes))
+    other = changed(answer, **changes)
     return report_text(other), report_json(other)
 
 
@@ -248,22 +244,21 @@ def test_an_estimate_without_a_pose_has_its_curve_only_and_one_of_nothing_no_pic
 @pytest.mark.parametrize(("t_d_s", "n_rows"), [(-1.7, 2), (0.0, 1)])
 def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
     """At 0 there is no "before"; at -1.7 s the recordings overlap in part only."""
-    page = of(result, replace(result.estimate, t_d_s=t_d_s)).plot()
-    search, epipolar = page.subfigs
+    search, epipolar = replace(result, answer=changed(result.answer, t_d_s=t_d_s)).plot().subfigs
     assert [len(part.axes) for part in (search, epipolar)] == [2, 2 * n_rows]
     assert all(axes.collections for axes in epipolar.axes)
 
 
 def test_what_is_drawn_is_the_search_and_the_distance(result):
     search, epipolar = Figure(), Figure()
-    draw_search(search, result.answer)
+    plots.draw_search(search, result.answer)
     whole, zoom = search.axes
     assert np.array_equal(whole.lines[0].get_data(), (result.candidates_s, result.costs))
     near_ms, d_avg_px = zoom.lines[0].get_data()
-    np.testing.assert_allclose(near_ms[[0, -1]], [-1e3 * ZOOM_S, 1e3 * ZOOM_S])
+    np.testing.assert_allclose(near_ms[[0, -1]], [-1e3 * plots.ZOOM_S, 1e3 * plots.ZOOM_S])
     # The estimate is of tangents, the curve of means: on these random pixels 1 ms apart or so.
     assert abs(near_ms[np.argmin(d_avg_px)]) < 2.0
-    draw_epipolar(epipolar, result.answer)
+    plots.draw_epipolar(epipolar, result.answer)
     assert len(epipolar.axes) == 4
     drawn_px = []
     for left, right in (epipolar.axes[:2], epipolar.axes[2:]):
@@ -277,16 +272,16 @@ def test_what_is_drawn_is_the_search_and_the_distance(result):
 
 def test_one_point_has_one_plane_angle_in_both_views(recorded, result):
     scene = recorded.scene
-    truth = replace(result.estimate, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
+    exact = changed(result.answer, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
     p1, p2 = track_pair(scene, np.linspace(0.5, 7.5, 50))
-    exact = replace(result.answer, estimate=truth)
-    angles_1, angles_2 = plane_angles(exact, 0, p1), plane_angles(exact, 1, p2)
+    angles_1, angles_2 = plots.plane_angles(exact, 0, p1), plots.plane_angles(exact, 1, p2)
     np.testing.assert_allclose(angles_1, angles_2, atol=1e-9)
     assert np.ptp(angles_1) > 5.0
 
 
 def test_colours_stay_apart_in_grey():
-    grey = sorted(np.dot(to_rgb(color), [0.299, 0.587, 0.114]) for color in (BLUE, RED, YELLOW))
+    colors = to_rgb(plots.BLUE), to_rgb(plots.RED), to_rgb(plots.YELLOW)
+    grey = sorted(np.dot(colors, [0.299, 0.587, 0.114]))
     assert np.min(np.diff([*grey, 1.0])) > 0.15
 
 
@@ -343,8 +338,8 @@ def test_the_page_says_what_was_found(result):
 
 
 def test_the_page_says_what_the_terminal_says_of_length_and_skew(result):
-    skew = {"t_ref_s": 2.5, "skew_ppm": 8.8, "skew_std_ppm": 52.0}
-    near = replace(result.answer, distance_m=7.07, estimate=replace(result.estimate, **skew))
+    skewed = changed(result.answer, t_ref_s=2.5, skew_ppm=8.8, skew_std_ppm=52.0)
+    near = replace(skewed, distance_m=7.07)
     for answer, words in ((result.answer, "of unknown length"), (near, "7.07 m long as stated")):
         text = "".join(check_page(page_of(answer)).text)
         assert (words in text, words in report_text(answer)) == (True, True)
@@ -366,10 +361,9 @@ def test_a_charts_numbers_and_images_stand_as_they_were_drawn(result):
 
 
 def test_a_refusal_with_f_shows_its_best_offset_and_what_was_left(result):
-    refused = replace(result.estimate, status=Status.POOR_FIT, t_d_s=np.nan, R=None, t=None)
-    assert refused.F is not None
-    best_s = refused.candidates_s[np.nanargmin(refused.costs)]
-    answer = replace(result.answer, estimate=refused)
+    answer = changed(result.answer, status=Status.POOR_FIT, t_d_s=np.nan, R=None, t=None)
+    assert answer.estimate.F is not None
+    best_s = result.candidates_s[np.nanargmin(result.costs)]
     page = page_of(answer)
     assert "What was tried" in page
     assert "Residuals over time" in page
@@ -379,8 +373,8 @@ def test_a_refusal_with_f_shows_its_best_offset_and_what_was_left(result):
 
 def test_nothing_that_files_say_becomes_html(result):
     cleans = tuple(replace(one, name=f"{EVIL}{k}") for k, one in enumerate(result.answer.cleans))
-    estimate = replace(result.estimate, status=Status.NO_MATCH, reason=EVIL)
-    answer = replace(result.answer, cleans=cleans, rig_name=EVIL, estimate=estimate)
+    answer = replace(result.answer, cleans=cleans, rig_name=EVIL)
+    answer = changed(answer, status=Status.NO_MATCH, reason=EVIL)
     text = "".join(check_page(page_of(answer, [("note", EVIL)], EVIL)).text)
     assert text.count(EVIL) >= 7  # twice each file, rig, reason, summary, command
 
@@ -388,10 +382,9 @@ def test_nothing_that_files_say_becomes_html(result):
 @pytest.mark.parametrize("status", [Status.NO_MATCH, Status.DEGENERATE_POSE])
 def test_a_refusal_has_a_page_that_says_what_to_do(status, result):
     less = {} if status.has_offset else {"F": None, "t_d_s": np.nan}
-    estimate = replace(
-        result.estimate, status=status, reason="why", R=None, t=None, costs=np.empty(0), **less
-    )
-    text = "".join(check_page(page_of(replace(result.answer, estimate=estimate))).text)
+    less |= {"R": None, "t": None, "costs": np.empty(0)}
+    page = page_of(changed(result.answer, status=status, reason="why", **less))
+    text = "".join(check_page(page).text)
     assert f"What mostly helps: {status.remedy}." in text
     assert ("In part" if status.has_offset else "Refused") in text
     assert "When each camera sees the object" in text
@@ -419,17 +412,14 @@ def test_a_camera_that_saw_nothing_has_a_page(recorded, tmp_path):
 
 def test_the_players_events_are_the_recordings(result, drawn):
     for view, clean in zip(drawn["views"], result.answer.cleans, strict=True):
-        frames, x, y, p = events_of(view)
-        events, keys = clean.events, {}
-        since_s = events["t"] / 1e6 - view["start"]
-        for key in zip(
-            (since_s / view["frame"]).astype(int), events["x"], events["y"], strict=True
-        ):
-            keys[key] = True
-        n_frames = unpacked(view["counts"], "<u4").size
-        inside = {key for key in keys if 0 <= key[0] < n_frames - 1}
-        shown = {(f, x, y) for f, x, y in zip(frames, x, y, strict=True) if f < n_frames - 1}
-        assert shown == inside
+        *shown, p = events_of(view)
+        events, last = clean.events, unpacked(view["counts"], "<u4").size - 1
+        frames = ((events["t"] / 1e6 - view["start"]) / view["frame"]).astype(int)
+        found, expected = (
+            {cell for cell in zip(*columns, strict=True) if 0 <= cell[0] < last}
+            for columns in (shown, (frames, events["x"], events["y"]))
+        )
+        assert found == expected
         assert 0.2 < np.mean(p) < 0.8
 
 
