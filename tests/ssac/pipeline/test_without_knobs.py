@@ -1,7 +1,6 @@
 """What nobody set is found out: far and fast clocks, few events, and what is wrong with a rig."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from numpy.testing import assert_allclose
 import ssac
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
-from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
+from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import tangency
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.registry import METHODS
@@ -165,12 +164,12 @@ def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, state
     found = Estimate("joint", status, "why", against=against)
     rigs = [rig, *(one for one, _ in less_certain(rig, found, VerdictRules()))]
     assert len(rigs) == 1 + n
-    for one, other in pairwise(rigs):
-        for narrow, wide in ((one.cam1, other.cam1), (one.cam2, other.cam2)):
-            assert np.all(np.less_equal(narrow.intrinsics_std_px, wide.intrinsics_std_px))
-        assert one.cam1.intrinsics_std_px != other.cam1.intrinsics_std_px
+    stds_px = [(one.cam1.intrinsics_std_px, one.cam2.intrinsics_std_px) for one in rigs]
+    more_px = np.diff(stds_px, axis=0)
+    assert np.all(more_px >= 0.0)
+    assert np.all(more_px[:, 0].any(axis=-1))
     if n:  # as carelessly known, at least
-        assert np.all(np.array(rigs[1].cam2.intrinsics_std_px) >= [6.0, 6.0, 10.0, 10.0])
+        assert np.all(np.array(stds_px[1][1]) >= [6.0, 6.0, 10.0, 10.0])
 
 
 @pytest.mark.parametrize("seed", [0, 1])  # of which the first finds its offset at a bound
@@ -232,20 +231,20 @@ def other_ways(found, seen, asked=PLAIN):
 
 
 @pytest.mark.parametrize(
-    ("status", "noise_hz", "asked", "is_tried"),
+    ("status", "noise_hz", "asked", "is_tried", "looks_closer"),
     [
-        (Status.POOR_FIT, 0.1, Config(), True),
-        (Status.DEGENERATE_POSE, 0.1, Config(), True),
-        (Status.TOO_FEW_SAMPLES, 0.0, Config(), True),
-        (Status.SEVERAL_OBJECTS, 0.0, Config(), True),
-        (Status.AMBIGUOUS_OFFSET, 0.0, Config(), True),
-        (Status.POOR_FIT, 0.0, Config(), False),
-        (Status.SEARCH_BOUND, 0.1, Config(), False),
-        (Status.POOR_FIT, 0.1, Config(n_min=50), False),
+        (Status.POOR_FIT, 0.1, Config(), True, True),
+        (Status.DEGENERATE_POSE, 0.1, Config(), True, False),
+        (Status.TOO_FEW_SAMPLES, 0.0, Config(), True, False),
+        (Status.SEVERAL_OBJECTS, 0.0, Config(), True, True),
+        (Status.AMBIGUOUS_OFFSET, 0.0, Config(), True, False),
+        (Status.POOR_FIT, 0.0, Config(), False, False),
+        (Status.SEARCH_BOUND, 0.1, Config(), False, False),
+        (Status.POOR_FIT, 0.1, Config(n_min=50), False, False),
     ],
 )
 def test_less_is_filtered_where_noise_may_explain_a_refusal(
-    events, status, noise_hz, asked, is_tried
+    events, status, noise_hz, asked, is_tried, looks_closer
 ):
     clutter = Clutter(0, 0, noise_hz, 5.0, 20, 200)
     seen = tuple(replace(denoised(one), clutter=clutter) for one in events)
@@ -255,8 +254,6 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     assert bool(fewer) is is_tried
     # Of several objects in noise one is told by less filtering and a closer look together.
     closer = asked.rules.retry.closer
-    looks_closer = is_tried and status in SETTLED_BY["closer"]
-    looks_closer &= status != Status.AMBIGUOUS_OFFSET  # without noise
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
     if status == Status.AMBIGUOUS_OFFSET:  # a valley without an end is not told by more of it
         alone = other_ways(replace(found, alternatives_s=np.empty(0)), seen)
