@@ -32,16 +32,22 @@ TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
 KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples", "d_avg_px"}
 
 
+def answered(folder, *args):
+    """Run `ssac sync`, which must give an answer: what it says, and its JSON without the time."""
+    result = run_sync(*args, "--json", folder / "out.json")
+    assert result.exit_code == 0, result.stderr
+    return result, {**read_json(folder / "out.json"), "seconds": 0}
+
+
 @pytest.fixture(scope="module")
 def joint_run(recorded):
-    out, synced = recorded / "joint.json", recorded / "synced.h5"
-    options = ("--rig", recorded / "rig.yaml", "--json", out, "--write-synced", synced)
-    return run_sync(*recorded.pair, *options), read_json(out), synced
+    synced = recorded / "synced.h5"
+    options = ("--rig", recorded / "rig.yaml", "--write-synced", synced)
+    return *answered(recorded.folder, *recorded.pair, *options), synced
 
 
 def test_the_offset_is_found_results_are_on_stdout_and_progress_on_stderr(joint_run):
     result, found, synced = joint_run
-    assert result.exit_code == 0, result.stderr
     assert set(found) >= KEYS
     assert "the outline does not close" in found["note"]  # of a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
@@ -66,45 +72,39 @@ def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorde
     assert all(np.array_equal(before[field], after[field]) for field in "xyp")
 
 
-NAMES = dict.fromkeys(("cam1", "cam2", "rig", "seconds"))
+NAMES = dict.fromkeys(("cam1", "cam2"))
 
 
 def test_bags_give_what_the_files_give_that_they_were_made_of(recorded, tmp_path):
-    out, bag = tmp_path / "out.json", tmp_path / "flight.bag"
+    bag = tmp_path / "flight.bag"
     cam1, cam2 = (load_events(path).events[:50_000] for path in recorded.pair)
     files = tmp_path / "cam1.h5", tmp_path / "cam2.h5"
     for file, events in zip(files, (cam1, cam2), strict=True):
         save_events_h5(file, events, WIDTH, HEIGHT)
     write_bag(bag, {"/cam2/events": mono(cam2), "/cam1/events": arrays(cam1)})
     args = ("--rig", recorded / "rig.yaml", "--method", "event_rate", "--no-denoise")
-    found = []
-    for cameras in (
+    forms = (
         files,
         (bag, "--topics", "/cam1/events", "/cam2/events"),
         (bag, bag, "--topics", "cam1/events", "cam2/events"),
         (bag / "cam1/events", bag / "cam2/events"),
         (files[0], bag / "cam2/events"),
-    ):
-        assert run_sync(*cameras, *args, "--json", out).exit_code == 0
-        found.append({**read_json(out), **NAMES})
+    )
+    found = [answered(tmp_path, *cameras, *args)[1] | NAMES for cameras in forms]
     assert found[1:] == found[:1] * 4
 
 
 def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recorded, tmp_path):
-    out, rig = tmp_path / "out.json", tmp_path / "found.yaml"
-    args = (*recorded.pair, "--method", "joint", "--json", out)
-    written = ("--write-rig", rig, "--distance", 7)
-    assert run_sync(*args, "--rig", recorded / "rig.yaml", *written).exit_code == 0
-    found = read_json(out)
+    rig, args = tmp_path / "found.yaml", (*recorded.pair, "--method", "joint")
+    written = ("--rig", recorded / "rig.yaml", "--write-rig", rig, "--distance", 7)
+    _, found = answered(tmp_path, *args, *written)
     assert found["distance_m"] == 7.0
     T_2_1 = load_rig(rig).T_2_1
     np.testing.assert_array_equal(T_2_1[:3, :3], found["R"])
     np.testing.assert_allclose(T_2_1[:3, 3], 7.0 * np.array(found["t"]), rtol=1e-12)
     assert f"timeshift_cn_cnm1: {found['t_d_s']!r}\n" in rig.read_text()
-    known = run_sync(*args, "--rig", rig, "--known-extrinsics")
-    assert known.exit_code == 0
+    known, again = answered(tmp_path, *args, "--rig", rig, "--known-extrinsics")
     assert f"as given in {rig}" in known.stdout
-    again = read_json(out)
     assert again["method"] == "joint-known"
     assert again["deg_per_percent_of_focals"] == [None, None]  # no pose is estimated
     np.testing.assert_allclose(again["t"], found["t"], atol=1e-12)
@@ -113,29 +113,24 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
 
 
 def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
-    out = tmp_path / "out.json"
     known = ("--method", "ssac", "--known-extrinsics"), "rig_extrinsics.yaml"
     for method, rig in ((("--method", "event_rate"), "rig.yaml"), known):
-        assert run_sync(recorded.folder, *method, "--json", out).exit_code == 0
-        found = read_json(out)
-        args = (*recorded.pair, "--rig", recorded / rig, *method, "--json", out)
-        assert run_sync(*args).exit_code == 0
-        assert {**read_json(out), "seconds": 0} == {**found, "seconds": 0}
+        _, found = answered(tmp_path, recorded.folder, *method)
+        _, named = answered(tmp_path, *recorded.pair, "--rig", recorded / rig, *method)
+        assert found == named
 
 
 @pytest.mark.parametrize("method", ["ssac", "zncc_f"])
 def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, recorded, tmp_path):
-    out, synced = tmp_path / "out.json", tmp_path / "synced.h5"
-    args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out)
-    result = run_sync(*recorded.pair, *args, "--write-synced", synced)
-    assert result.exit_code == 0, result.stderr
+    synced = tmp_path / "synced.h5"
+    args = ("--rig", recorded / "rig.yaml", "--method", method, "--write-synced", synced)
+    result, found = answered(tmp_path, *recorded.pair, *args)
     assert f"{synced}, by an offset of unknown accuracy\n" in result.stderr
     assert ("denoise" in result.stderr) == (method != "zncc_f")
     note = f"{method} states no standard deviation"
     assert "ms, of unknown accuracy\n" in result.stdout
     assert f"note           {note}" in result.stdout
     assert "subtract" not in result.stdout
-    found = read_json(out)
     assert found["note"].startswith(note)
     assert found["status"] == "ok"
     assert found["t_d_s"] is not None
@@ -162,16 +157,15 @@ def test_no_reliable_estimate_says_why(recorded, tmp_path):
 
 
 def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
-    found, out = [], tmp_path / "out.json"
-    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--json", out)
-    options = "--no-denoise", "--n-samples", 150
+    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--no-denoise")
+    stds = []
     for focal, centre in (("0", "0"), ("1", "3")):
-        result = run_sync(*args, *options, "--focal-std", focal, "--centre-std", centre)
-        assert result.exit_code == 0
+        options = "--n-samples", 150, "--focal-std", focal, "--centre-std", centre
+        result, found = answered(tmp_path, *args, *options)
         assert " pairs of positions used, of 150 sample times\n" in result.stdout
         assert "denoise" not in result.stderr
-        found.append(np.sqrt(np.diag(read_json(out)["covariance"]))[1:])
-    assert np.all(found[1] > found[0])
+        stds.append(np.sqrt(np.diag(found["covariance"]))[1:])
+    assert np.all(stds[1] > stds[0])
 
 
 # --- Tracks ---
@@ -191,13 +185,10 @@ def synced(folder, **more):
 
 
 def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tmp_path):
-    out, late = tmp_path / "out.json", tmp_path / "synced.csv"
-    outputs = ("--json", out, "--write-synced", late)
+    late = tmp_path / "synced.csv"
     files = pair / "cam1.csv", pair / "cam2.csv", "--rig", pair / "rig.yaml"
-    code, _, err = run_sync(*files, *outputs)
-    assert code == 0, err
-    assert "warning" not in err
-    found = read_json(out)
+    result, found = answered(tmp_path, *files, "--write-synced", late)
+    assert "warning" not in result.stderr
     assert (found["status"], found["method"]) == ("ok", "joint")
     assert abs(found["t_d_s"] - TRACKS_S) < WIDE * found["t_d_std_s"]
     assert found["t_d_std_s"] < 2e-3  # 0.3 px at 180 px/s are 1.7 ms for one of hundreds of points
