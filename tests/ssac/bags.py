@@ -2,6 +2,8 @@
 
 import shutil
 from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
@@ -36,18 +38,13 @@ def write_bag(path, topics):
     Each message is a pair of a time [us] and fields; "array" of them, as `arrays` makes it, stands
     for events.
     """
-    is_ros1 = path.suffix == ".bag"
+    is_ros1, is_alone = path.suffix == ".bag", path.suffix in (".mcap", ".db3")
     types = store(is_ros1)
-    folder = path.with_name(f"{path.name}.folder")
-    for one in (path, folder):
-        if one.is_dir():
-            shutil.rmtree(one)
-        one.unlink(missing_ok=True)
     plugins = rosbag2.StoragePlugin
     storage = plugins.MCAP if path.suffix == ".mcap" else plugins.SQLITE3
     how = {} if is_ros1 else {"version": 9, "storage_plugin": storage}
-    place = path if is_ros1 else folder
-    with (rosbag1.Writer if is_ros1 else rosbag2.Writer)(place, **how) as writer:
+    made = Path(mkdtemp(dir=path.parent)) / path.stem
+    with (rosbag1.Writer if is_ros1 else rosbag2.Writer)(made, **how) as writer:
         for topic, (kind, messages) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=types)
             for t_us, fields in messages:
@@ -55,14 +52,8 @@ def write_bag(path, topics):
                 serialize = types.serialize_ros1 if is_ros1 else types.serialize_cdr
                 # Written half a second later than it was recorded: no time of an event.
                 writer.write(connection, int(t_us * 1000) + 10**9 // 2, serialize(message, kind))
-    if is_ros1:
-        return path
-    if path.suffix in (".mcap", ".db3"):
-        (file,) = folder.glob(f"*{path.suffix}")
-        file.rename(path)
-        shutil.rmtree(folder)
-    else:
-        folder.rename(path)
+    (next(made.glob(f"*{path.suffix}")) if is_alone else made).replace(path)
+    shutil.rmtree(made.parent)
     return path
 
 

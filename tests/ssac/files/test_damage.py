@@ -16,7 +16,7 @@ from ssac.files.ros_bags import topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import PointTrack
-from tests.ssac.bags import PER_MESSAGE, arrays, mono, packets, points, write_bag
+from tests.ssac.bags import PACKETS, PER_MESSAGE, arrays, mono, packets, points, write_bag
 from tests.ssac.files.test_event_files import HEIGHT, WIDTH, faerys, random_events
 
 N = 4000
@@ -27,6 +27,14 @@ ENCODINGS = [("cam1.raw", "evt2"), ("cam1.raw", "evt3"), ("cam1.dat", "dat2")]
 def write_faery(path, version=None):
     faerys(version)(path, random_events(N))
     return path.read_bytes()
+
+
+def refused_or_left(path, error, warning, reading=ALLOWED):
+    """What is read of a file where that is allowed; else it is refused."""
+    with pytest.raises(SsacError, match=error):
+        load_events(path)
+    with pytest.warns(UserWarning, match=warning):
+        return load_events(path, reading).events
 
 
 @pytest.mark.parametrize(("name", "version"), ENCODINGS)
@@ -48,9 +56,9 @@ def test_damage_in_the_middle_is_seen(tmp_path, name, version, share, n_lost, in
 def test_a_raw_file_is_read_as_far_as_it_goes_where_that_is_allowed(tmp_path):
     path = tmp_path / "cam1.raw"
     path.write_bytes(write_faery(path, "evt2")[:-3])
-    with pytest.warns(UserWarning, match="is damaged, and what is left of it is read: 1 bytes"):
-        file = load_events(path, ALLOWED)
-    np.testing.assert_array_equal(file.events, random_events(N)[:-1])
+    said = "is damaged, and what is left of it is read: 1 bytes"
+    found = refused_or_left(path, "is damaged: 1 bytes", said)
+    np.testing.assert_array_equal(found, random_events(N)[:-1])
 
 
 def test_of_a_truncated_aedat4_the_whole_packets_are_read(tmp_path):
@@ -59,10 +67,8 @@ def test_of_a_truncated_aedat4_the_whole_packets_are_read(tmp_path):
     events_to_file(blocks, path, dimensions=(WIDTH, HEIGHT))
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SsacError, match="the table of its packets is at byte"):
-        load_events(path)
-    with pytest.warns(UserWarning, match="no further than its first"):
-        found = load_events(path, ALLOWED).events
+    said = "the table of its packets is at byte", "no further than its first"
+    found = refused_or_left(path, *said)
     np.testing.assert_array_equal(found, events[: len(found)])
     assert 0.3 < len(found) / len(events) < 0.6  # of half the file, less a packet
 
@@ -86,11 +92,9 @@ def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
     expected = mixed[np.argsort(mixed["t"], kind="stable")]
     for name, save in (("cam1.h5", save_events_h5), ("cam1.txt", save_events_text)):
         save(tmp_path / name, mixed, WIDTH, HEIGHT)
-        with pytest.raises(SsacError, match=r"must be sorted by .* sort them with --sort"):
-            load_events(tmp_path / name)
-        with pytest.warns(UserWarning, match="of 4000 events came up to .* us too late"):
-            file = load_events(tmp_path / name, Reading(sort=True))
-        np.testing.assert_array_equal(file.events, expected)
+        said = "be sorted by .* sort them with --sort", "of 4000 events came up to .* us too late"
+        found = refused_or_left(tmp_path / name, *said, Reading(sort=True))
+        np.testing.assert_array_equal(found, expected)
 
 
 BREAKS = r"sorted by time|leaps of time by more than 3600 s"
@@ -112,11 +116,8 @@ def test_what_does_not_fit_is_left_out_where_that_is_allowed(
     changed = events.copy()
     changed[field][part] += shift
     save_events_h5(path, changed, WIDTH, HEIGHT)
-    with pytest.raises(SsacError, match=error):
-        load_events(path)
-    with pytest.warns(UserWarning, match=warning):
-        file = load_events(path, ALLOWED)
-    np.testing.assert_array_equal(file.events, np.delete(events, part))
+    found = refused_or_left(path, error, warning)
+    np.testing.assert_array_equal(found, np.delete(events, part))
 
 
 # --- ROS bags ---
@@ -160,11 +161,8 @@ def other_size(messages):
     return kind, [(t_us, lambda types: fields(types) | {"height": 100}), *rest]
 
 
-def two_encodings(messages):
-    kind, _ = messages
-    words = np.array([0x8000_0000, 0x10], "<u4").tobytes()
-    both = [*packets("evt2", [(0, words)])[1], *packets("evt3", [(1, words)])[1]]
-    return kind, both
+WORDS = np.array([0x8000_0000, 0x10], "<u4").tobytes()
+TWO_ENCODINGS = PACKETS, [packets(f"evt{k}", [(k, WORDS)])[1][0] for k in (2, 3)]
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
@@ -177,7 +175,7 @@ def two_encodings(messages):
         ({"/events": packets("libcaer", [(0, b"")])}, "", "encoding mono, evt2 or evt3, got 'libc"),
         ({"/events": packets("evt3", [(0, b"abc")])}, "", r"not a readable ROS bag \(buffer size"),
         ({"/events": packets("mono", [(0, b"abc")])}, "", r"not a readable ROS bag \(buffer size"),
-        ({"/events": two_encodings(mono(EVENTS))}, "", r"got 346 x 260 px of evt2, 346 x 260 px"),
+        ({"/events": TWO_ENCODINGS}, "", r"got 346 x 260 px of evt2, 346 x 260 px"),
         ({"/events": packets("evt2", [(0, 40 * b"\xff\xff\xff\xf7")])}, "", "there are no events"),
         ({"/events": other_size(arrays(EVENTS))}, "", r"got 346 x 100 px of events, 346 x 260 "),
         ({}, "", r"expected a topic of events or points .* the topics none"),
@@ -206,20 +204,16 @@ def test_missing_messages_are_seen_and_what_is_left_is_read_if_allowed(tmp_path)
     folder = write_bag(tmp_path / "flight", {"/events": arrays(EVENTS)})
     about = folder / "metadata.yaml"
     about.write_text(about.read_text().replace("message_count: 3", "message_count: 5"))
-    with pytest.raises(SsacError, match=r"is damaged: 2 of 5 messages are missing"):
-        load_events(folder)
-    with pytest.warns(UserWarning, match=r"what is left of it is read: 2 of 5 messages"):
-        assert len(load_events(folder, Reading(allow_damaged=True)).events) == len(EVENTS)
+    said = "damaged: 2 of 5 messages are missing", "what is left of it is read: 2 of 5 messages"
+    assert len(refused_or_left(folder, *said)) == len(EVENTS)
 
 
 def test_a_message_that_cannot_be_read_ends_what_is_allowed_to_be_damaged(tmp_path):
     kind, messages = mono(EVENTS)
     broken = packets("mono", [(EVENTS["t"][-1], b"abc")])[1]
     bag = write_bag(tmp_path / "flight.bag", {"/events": (kind, [*messages, *broken])})
-    with pytest.raises(SsacError, match="not a readable ROS bag"):
-        load_events(bag)
-    with pytest.warns(UserWarning, match="no further than its first 3 messages"):
-        assert len(load_events(bag, Reading(allow_damaged=True)).events) == len(EVENTS)
+    said = "not a readable ROS bag", "no further than its first 3 messages"
+    assert len(refused_or_left(bag, *said)) == len(EVENTS)
 
 
 def test_without_the_library_it_is_named(tmp_path, monkeypatch):

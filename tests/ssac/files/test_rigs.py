@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ssac.camera import Camera, same_camera
 from ssac.errors import SsacError
 from ssac.files.rigs import Step, check_resolution, load_camera, load_rig, save_rig
+from tests.ssac.tracks import rig_document
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
 R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
@@ -19,19 +20,17 @@ T_2_1 = np.eye(4)
 T_2_1[:3, :3], T_2_1[:3, 3] = R, T
 
 
+COEFFS = (-0.3, 0.1, 0.001, -0.0005)
+FIVE = [*COEFFS, 0.02]
+
+
 def _kalibr():
     """A camchain file's content, with the keys that Kalibr writes and we do not use."""
-    camera = {
-        "cam_overlaps": [1],
-        "camera_model": "pinhole",
-        "distortion_coeffs": [-0.3, 0.1, 0.001, -0.0005],
-        "distortion_model": "radtan",
-        "intrinsics": [200.0, 201.0, 173.0, 130.0],
-        "resolution": [346, 260],
-        "rostopic": "/cam0/events",
-    }
-    second = {**camera, "distortion_model": "equidistant", "T_cn_cnm1": T_2_1.tolist()}
-    return {"cam0": camera, "cam1": second}
+    lens = {"distortion_model": "radtan", "distortion_coeffs": [*COEFFS]}
+    unused = {"cam_overlaps": [1], "rostopic": "/cam0/events"}
+    document = rig_document(**lens, **unused, intrinsics=[200.0, 201.0, 173.0, 130.0])
+    document["cam1"] |= {"distortion_model": "equidistant", "T_cn_cnm1": T_2_1.tolist()}
+    return document
 
 
 def _write(path, document):
@@ -42,10 +41,7 @@ def _write(path, document):
 def test_kalibr_camchain(tmp_path):
     rig = load_rig(_write(tmp_path / "rig.yaml", _kalibr()))
     for camera, model in ((rig.cam1, "radtan"), (rig.cam2, "equidistant")):
-        np.testing.assert_array_equal(camera.K, K)
-        assert (camera.width, camera.height) == (346, 260)
-        assert camera.distortion_model == model
-        assert camera.distortion_coeffs == (-0.3, 0.1, 0.001, -0.0005)
+        assert same_camera(camera, Camera(K, 346, 260, model, COEFFS))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
 
 
@@ -64,7 +60,7 @@ def test_deviations_of_the_intrinsics_and_the_readout(tmp_path):
 def test_a_rig_that_was_written_is_read_as_it_was(tmp_path):
     cameras = (
         Camera(K, 346, 260),
-        Camera(K, 640, 480, "radtan", (-0.3, 0.1, 0.001, -0.0005), (2.0, 2.5, 1e-7, 0.0)),
+        Camera(K, 640, 480, "radtan", COEFFS, (2.0, 2.5, 1e-7, 0.0)),
         Camera(K, 346, 260, "radtan", tuple(FIVE), readout_s=0.02),
         Camera(K, 346, 260, "equidistant", (0.1, 0.0, 1 / 3, 0.0)),
     )
@@ -99,9 +95,6 @@ def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
     turn = Rotation.from_quat([float(given[f"--{name}"]) for name in ("qx", "qy", "qz", "qw")])
     # A point of the second frame, seen from the first; nine digits are written.
     np.testing.assert_allclose(turn.apply(R @ T + T) + place, T, atol=1e-7)
-
-
-FIVE = [-0.3, 0.1, 0.001, -0.0005, 0.02]
 
 
 @pytest.mark.parametrize(
@@ -157,28 +150,25 @@ def test_unusable_kalibr_values_are_refused(tmp_path, camera, key, value, messag
         load_rig(_write(tmp_path / "rig.yaml", document))
 
 
-NO_CAMCHAIN = r"rig\.yaml: expected a Kalibr camchain with cam0 and"
-NO_YAML = r"rig\.yaml: not a readable YAML file"
-
-
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("contents", "message"),
     [
-        *((content, NO_CAMCHAIN) for content in (b"", b"hello", b"camera: {}", b"[1, 2]")),
-        *((content, NO_YAML) for content in (b"{:", b"\xff\xfe\x00")),
-        (None, r"rig\.yaml: there is no such file"),
+        ((b"", b"hello", b"camera: {}", b"[1, 2]"), "expected a Kalibr camchain with cam0 and"),
+        ((b"{:", b"\xff\xfe\x00"), "not a readable YAML file"),
     ],
 )
-def test_what_is_no_rig_is_refused(tmp_path, content, message):
-    if content is not None:
-        (tmp_path / "rig.yaml").write_bytes(content)
-    with pytest.raises(SsacError, match=message):
+def test_what_is_no_rig_is_refused(tmp_path, contents, message):
+    with pytest.raises(SsacError, match=r"rig\.yaml: there is no such file"):
         load_rig(tmp_path / "rig.yaml")
+    for content in contents:
+        (tmp_path / "rig.yaml").write_bytes(content)
+        with pytest.raises(SsacError, match=rf"rig\.yaml: {message}"):
+            load_rig(tmp_path / "rig.yaml")
     with pytest.raises(SsacError, match=r"unknown extension '\.json' of a rig"):
         load_rig(tmp_path / "rig.json")
 
 
-def _write_opencv(path, coeffs=(-0.3, 0.1, 0.0, 0.0, 0.02), **more):
+def _write_opencv(path, coeffs=FIVE, **more):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for i in (1, 2):
         storage.write(f"K{i}", K)
@@ -199,18 +189,14 @@ def test_opencv_stereo(tmp_path, letter):
     path.write_text(re.sub(r"^K(?=\d:)", letter, path.read_text(), flags=re.MULTILINE))
     rig = load_rig(path)
     for camera in (rig.cam1, rig.cam2):
-        np.testing.assert_array_equal(camera.K, K)
-        assert (camera.width, camera.height) == (346, 260)
-        assert camera.distortion_model == "radtan"
-        assert camera.distortion_coeffs == (-0.3, 0.1, 0.0, 0.0, 0.02)
+        assert same_camera(camera, Camera(K, 346, 260, "radtan", tuple(FIVE)))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
 
 
 def test_opencv_fisheye_without_a_pose(tmp_path):
-    more = {"distortion_model": "equidistant"}
-    rig = load_rig(_write_opencv(tmp_path / "stereo.yaml", coeffs=(0.1, 0.0, 0.0, 0.0), **more))
-    assert rig.cam2.distortion_model == "equidistant"
-    assert (rig.cam2.width, rig.cam2.height) == (346, 260)
+    path = tmp_path / "stereo.yaml"
+    rig = load_rig(_write_opencv(path, COEFFS, distortion_model="equidistant"))
+    assert same_camera(rig.cam2, Camera(K, 346, 260, "equidistant", COEFFS))
     assert rig.T_2_1 is None
 
 
