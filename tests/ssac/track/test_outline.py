@@ -32,6 +32,7 @@ FOCAL_PX = 1000.0
 WIDE = Camera(np.diag([FOCAL_PX, FOCAL_PX, 1.0]), 2000, 1000)
 SIDE_PX, MIDDLE_Y = 120.0, 500.0
 DURATION_S = 4.0
+AT_S = np.arange(0.1, DURATION_S - 0.1, 0.02)
 # Epipolar planes that cut the image in level lines: the angle of y is atan((y - 500) / 1000).
 LEVEL = Pencil(np.array([0.0, 1.0, -MIDDLE_Y]) / FOCAL_PX, np.array([0.0, 0.0, 1.0]))
 
@@ -56,11 +57,15 @@ def square(rate_hz, seed=0):
     return times_s, points_px
 
 
-def edges_px(motion, config):
+def sides(motion):
+    """The upper and the lower tangents."""
+    near = near_outline(motion, LEVEL, AT_S, OutlineConfig())
+    return tangents(motion, near, LEVEL, AT_S, OutlineConfig())
+
+
+def edges_px(motion):
     """Heights (2, n) of the tangents, and their spreads."""
-    times_s = np.arange(0.1, DURATION_S - 0.1, 0.02)
-    near = near_outline(motion, LEVEL, times_s, config)
-    found = tangents(motion, near, LEVEL, times_s, config)
+    found = sides(motion)
     assert all(side.valid.mean() > 0.9 for side in found)
     kept = [(side.points_px[side.valid, 1], side.spreads_px[side.valid]) for side in found]
     return zip(*kept, strict=True)
@@ -69,7 +74,7 @@ def edges_px(motion, config):
 @pytest.mark.parametrize("rate_hz", [20_000.0, 60_000.0])
 def test_the_ranks_give_the_edge_itself(rate_hz):
     """An event of rank k lies k + 1 steps inside an even edge: half the gap of ranks 2 and 8."""
-    (upper, lower), spreads = edges_px(motion_between_pixels(*square(rate_hz)), OutlineConfig())
+    (upper, lower), spreads = edges_px(motion_between_pixels(*square(rate_hz)))
     step_px = SIDE_PX / (0.040 * rate_hz)  # between events, of a window of 40 ms
     # 95 windows without common events, each off by two to three steps, and four deviations of that;
     # the outline is put ahead of its events by a twentieth of a pixel at most.
@@ -82,12 +87,12 @@ def test_the_ranks_give_the_edge_itself(rate_hz):
 
 def test_two_events_beyond_the_edge_hardly_move_it():
     times_s, points_px = square(40_000.0)
-    (upper, _), _ = edges_px(motion_between_pixels(times_s, points_px), OutlineConfig())
+    (upper, _), _ = edges_px(motion_between_pixels(times_s, points_px))
     stray_s = np.arange(0.010, DURATION_S, 0.020)  # two in each window, 20 px out
     stray_px = np.column_stack([500.0 + 200.0 * stray_s, np.full(len(stray_s), MIDDLE_Y + 80.0)])
     disturbed = motion_between_pixels(np.append(times_s, stray_s), np.vstack([points_px, stray_px]))
     # They take two ranks, each a step of 0.075 px, and half as much again by the deeper rank.
-    (pushed, _), _ = edges_px(disturbed, OutlineConfig())
+    (pushed, _), _ = edges_px(disturbed)
     assert abs(np.mean(pushed) - np.mean(upper)) < 0.4
 
 
@@ -96,10 +101,8 @@ def test_a_tangent_cut_off_by_the_border_is_invalid():
     times_s, points_px = square(40_000.0)
     points_px[:, 1] += WIDE.height - 2.0 - (MIDDLE_Y + SIDE_PX / 2)
     motion = motion_between_pixels(times_s, points_px)
-    at_s = np.arange(0.1, DURATION_S - 0.1, 0.02)
-    assert motion.at(at_s).valid.all()
-    near = near_outline(motion, LEVEL, at_s, OutlineConfig())
-    upper, lower = tangents(motion, near, LEVEL, at_s, OutlineConfig())
+    assert motion.at(AT_S).valid.all()
+    upper, lower = sides(motion)
     assert not upper.valid.any()
     assert lower.valid.mean() > 0.9
 
