@@ -27,7 +27,7 @@ def in_view(points_m, scene, view):
     return points_m @ scene.R.T + scene.t if view else points_m
 
 
-def box_events(scene, seed, size_m=0.8, t_d_s=T_D_S, lopsided=0.0, scale=1, rate_hz=20_000.0):
+def box_events(scene, seed, size_m=0.8, lopsided=0.0, scale=1):
     """Events of both cameras at the corners' pixels.
 
     `lopsided`: how much more often the corners on one side of the box make events, the left side
@@ -35,8 +35,8 @@ def box_events(scene, seed, size_m=0.8, t_d_s=T_D_S, lopsided=0.0, scale=1, rate
     """
     rng = np.random.default_rng((seed, 3))
     streams = []
-    for view, offset_s in enumerate((0.0, t_d_s)):
-        n = int(rate_hz * scene.duration_s)
+    for view, offset_s in enumerate((0.0, T_D_S)):
+        n = int(20_000 * scene.duration_s)
         times_s = np.sort(rng.uniform(0.0, scene.duration_s, n))
         odds = 1.0 + lopsided * (CORNERS[:, view] > 0)
         chosen = rng.choice(8, n, p=odds / odds.sum())

@@ -10,33 +10,25 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, events_at, make_events, m
 
 def merged(*parts: NDArray[np.void]) -> NDArray[np.void]:
     """Merge events in order of time."""
-    events = np.concatenate(parts)
-    return np.asarray(events[np.argsort(events["t"], kind="stable")])
+    return np.asarray(mixed(*parts)[0])
 
 
-def pixel_events(
-    x: int, y: int, n: int, duration_us: int = 1_000_000, first_us: int = 0
-) -> NDArray[np.void]:
+def pixel_events(x: int, y: int, n: int, duration_us: int = 1_000_000) -> NDArray[np.void]:
     """Events of one pixel at random times."""
-    rng = np.random.default_rng(x + 1000 * y)
-    t = first_us + np.sort(rng.integers(0, duration_us, n))
+    t = np.sort(np.random.default_rng(x + 1000 * y).integers(0, duration_us, n))
     return events_from_arrays(t, np.full(n, x), np.full(n, y), np.ones(n, int))
 
 
-def lamp(
-    x: int, y: int, size_px: int, duration_us: int, hz: float = 100.0, first_us: int = 0
-) -> NDArray[np.void]:
+def lamp(x: int, y: int, size_px: int, duration_us: int) -> NDArray[np.void]:
     """Events of a square lamp on the mains, an ON and an OFF event a flicker and pixel."""
     rng = np.random.default_rng(x + 1000 * y)
-    n = round(2e-6 * hz * duration_us)
-    steps = first_us + np.linspace(0, duration_us, n, endpoint=False).astype(int)
+    n = round(2e-4 * duration_us)  # 100 flickers a second
+    steps = np.linspace(0, duration_us, n, endpoint=False).astype(int)
     parts = []
-    for column in range(x, x + size_px):
-        for row in range(y, y + size_px):
-            t = steps + rng.integers(0, 500, n)
-            parts.append(
-                events_from_arrays(t, np.full(n, column), np.full(n, row), np.arange(n) % 2)
-            )
+    for column, row in np.ndindex(size_px, size_px):
+        t = steps + rng.integers(0, 500, n)
+        place = np.full(n, x + column), np.full(n, y + row)
+        parts.append(events_from_arrays(t, *place, np.arange(n) % 2))
     return merged(*parts)
 
 
@@ -84,10 +76,10 @@ def mixed(*streams):
     return events[order], thing[order]
 
 
-def branches(seed, n_branches=4, rate_hz=20_000.0):
+def branches(seed, n_branches=4):
     """Events of things that sway a few pixels about their places."""
     rng = np.random.default_rng((seed, 2))
-    n = int(rate_hz * DURATION_S)
+    n = int(20_000 * DURATION_S)
     times_s, branch = np.sort(rng.uniform(0.0, DURATION_S, n)), rng.integers(n_branches, size=n)
     places = rng.uniform([40, 40], [WIDTH - 40, HEIGHT - 40], (n_branches, 2))
     sways = rng.uniform(2.0, 6.0, (n_branches, 2))

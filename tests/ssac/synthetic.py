@@ -76,11 +76,7 @@ def track_pair(scene: Scene, times_s: Array) -> tuple[Array, Array]:
 
 
 def make_events(
-    scene: Scene,
-    seed: int,
-    t_d_s: float = 0.0,
-    rate_hz: float = 25_000.0,
-    size_m: float = 0.8,
+    scene: Scene, seed: int, t_d_s: float = 0.0, rate_hz: float = 25_000.0, size_m: float = 0.8
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Events of both cameras; camera 2's clock reads `t_d_s` more than camera 1's."""
     rng = np.random.default_rng((seed, 1))

@@ -12,7 +12,7 @@ import pytest
 
 import ssac
 from experiments.lab.grid import configs_of
-from ssac import Chain, Config, Observation
+from ssac import Chain, Config
 from ssac.camera import (
     MAX_ROUND_TRIP_PX,
     Camera,
@@ -25,16 +25,10 @@ from ssac.clock import Clock
 from ssac.config import checked
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status, first
-from ssac.events import (
-    EVENT_DTYPE,
-    check_events,
-    copied,
-    events_from_arrays,
-    slice_time,
-    time_quantum_s,
-)
+from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, slice_time, time_quantum_s
 from ssac.rules import Rules
-from tests.ssac.synthetic import make_events, make_scene
+from tests.ssac.methods.flights import seen
+from tests.ssac.synthetic import make_scene
 
 
 def _events(t):
@@ -52,15 +46,6 @@ def test_every_value_is_kept_but_a_polarity_of_minus_one_and_arguments_stay(dtyp
     assert p.tolist() == before
 
 
-@pytest.mark.parametrize("step", [1, 3])
-def test_copied_events_are_the_same_and_their_own(step):
-    events = _events(np.arange(20))[::step]
-    copy = copied(events)
-    assert copy.dtype == EVENT_DTYPE
-    assert np.array_equal(copy, events)
-    assert not np.shares_memory(copy, events)
-
-
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
@@ -75,28 +60,25 @@ def test_arrays_that_make_no_events_are_refused(columns, message):
         events_from_arrays(*columns, name="cam1.h5")
 
 
-UNUSABLE = [
-    (lambda e: e[:0], "camera 1: there are no events"),
-    (lambda e: e[::-1], "event 1 is at 2 us, after one at 3 us: copy or record it again if"),
-    (lambda e: e.astype([("t", "<f8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")]), "1-D array"),
-    (lambda e: e.reshape(2, 2), "1-D array of"),
-    (lambda e: _with(e, "x", 10), "sensor is 10 x 7 px, .* at x = 10"),
-    (lambda e: _with(e, "y", 7), "sensor is 10 x 7 px, .* at y = 7"),
-    (lambda e: _with(e, "p", 2), "polarity must be 0 or 1, got 2"),
-    (
-        lambda e: _with(_with(e, "t", 3), "t", 2**24 - 5, 2),
-        r"begins anew at event 3, .* 24 bits .*; do not sort",
-    ),
-]
-
-
 def _with(events, field, value, at=3):
     other = events.copy()
     other[field][at] = value
     return other
 
 
-@pytest.mark.parametrize(("change", "message"), UNUSABLE)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda e: e[:0], "camera 1: there are no events"),
+        (lambda e: e[::-1], "event 1 is at 2 us, after one at 3 us: copy or record it again if"),
+        (lambda e: e.astype([("t", "<f8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")]), "1-D array"),
+        (lambda e: e.reshape(2, 2), "1-D array of"),
+        (lambda e: _with(e, "x", 10), "sensor is 10 x 7 px, .* at x = 10"),
+        (lambda e: _with(e, "y", 7), "sensor is 10 x 7 px, .* at y = 7"),
+        (lambda e: _with(e, "p", 2), "polarity must be 0 or 1, got 2"),
+        (lambda e: _with(e, "t", 2**24 - 5, 2), r"anew at event 3, .* 24 bits .*; do not sort"),
+    ],
+)
 def test_unusable_events_are_refused(change, message):
     events = _events([0, 1, 2, 3])
     check_events(events, 10, 7, "camera 1")
@@ -220,9 +202,7 @@ def test_points_that_no_ray_reaches_are_nan():
         (Camera(np.where(K == 173, np.nan, K), 346, 260), "K must be a finite 3x3 matrix"),
         (Camera(np.diag([-200.0, 200.0, 1.0]), 346, 260), "focal lengths must be positive"),
         (Camera(K + np.eye(3, k=1), 346, 260), "without skew"),
-        (Camera("nonsense", 346, 260), "K must be a finite 3x3 matrix"),
         (Camera(K, 0, 260), "at least 1 x 1 px and at most 200000000 pixels, got 0 x 260"),
-        (Camera(K, None, 260), "the resolution must be at least 1 x 1 px .* got None x 260"),
         (_camera(["radtan"]), "unknown distortion model"),
         (_camera("none", "abcd"), "the distortion model 'none' needs 0 finite"),
         (Camera(K, 346, 260, intrinsics_std_px="abcd"), "intrinsics_std must be 4 deviations"),
@@ -385,8 +365,7 @@ def with_rule(name, value):
 @pytest.fixture(scope="module")
 def chain():
     scene = make_scene(seed=1, duration_s=6.0)
-    cameras = [Observation(one) for one in make_events(scene, 1, 0.05, size_m=0.4)]
-    return Chain(cameras, scene.rig, Config(interval_s=(-0.2, 0.2)))
+    return Chain(seen(scene, 1), scene.rig, Config(interval_s=(-0.2, 0.2)))
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -426,20 +405,20 @@ def test_a_stage_has_no_rules_but_those_of_its_config():
     assert {name.rpartition(".")[2] for name in RULES} <= read
 
 
-OTHERS = (
-    ("noise.ball_px", 4.0, "ssac"),
-    ("search.rival", 1e9, "ssac"),
-    ("view.even_share", 1.5, "ssac"),
-    ("fit.least_curvature", 50.0, "joint"),
-    ("joint.bias_slope", 0.4, "joint"),
-    ("verdict.max_t_d_std_s", 1e-6, "tangency"),
-    ("tangency.outline.rank", 4, "tangency"),
-    ("albl.inlier_px", 0.5, "albl"),
-    ("signals.zncc_bin_s", 0.02, "zncc_e"),
+@pytest.mark.parametrize(
+    ("rule", "value", "method"),
+    [
+        ("noise.ball_px", 4.0, "ssac"),
+        ("search.rival", 1e9, "ssac"),
+        ("view.even_share", 1.5, "ssac"),
+        ("fit.least_curvature", 50.0, "joint"),
+        ("joint.bias_slope", 0.4, "joint"),
+        ("verdict.max_t_d_std_s", 1e-6, "tangency"),
+        ("tangency.outline.rank", 4, "tangency"),
+        ("albl.inlier_px", 0.5, "albl"),
+        ("signals.zncc_bin_s", 0.02, "zncc_e"),
+    ],
 )
-
-
-@pytest.mark.parametrize(("rule", "value", "method"), OTHERS)
 def test_what_was_found_by_other_rules_is_not_given(rule, value, method, chain):
     """Of one chain, whose memory the answers share."""
     by_others = chain.under(with_rule(rule, value)).estimate(method)
