@@ -80,47 +80,39 @@ def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
 # --- Compared methods ---
 
 RIG = Rig(CAMERA, CAMERA)
-OF_EVENTS = [
-    (correlations.zncc_e_of_events, 0.010),
-    (correlations.event_rate_of_events, 0.001),
-]  # and their units [s]
 
 
-def flickering_events(rng, duration_s=10.0):
-    """Events whose rate changes at random every 50 ms."""
-    rates = rng.uniform(1_000.0, 20_000.0, int(duration_s / 0.05))
+@pytest.fixture(scope="module")
+def flickering():
+    """A camera whose events' rate changes at random every 50 ms for 10 s, and frames every 20."""
+    rng = np.random.default_rng(0)
+    rates = rng.uniform(1_000.0, 20_000.0, 200)
     times_s = [0.05 * (i + rng.random(rng.poisson(0.05 * r))) for i, r in enumerate(rates)]
     events = np.zeros(sum(map(len, times_s)), EVENT_DTYPE)
     events["t"] = np.sort(np.concatenate(times_s)) * 1e6
-    return events
+    steps = rng.normal(size=(500, 4, 5)) * rng.uniform(0.1, 2.0, (500, 1, 1))
+    return Observation(events, np.cumsum(steps, axis=0), 0.02 * np.arange(500))
 
 
-@pytest.mark.parametrize(("method", "unit_s"), OF_EVENTS)
-def test_delayed_event_rates_are_recovered(method, unit_s):
-    camera = Observation(flickering_events(np.random.default_rng(0)))
-    for t_d_s in (0.0, 0.13, -0.71):
-        estimate = method(camera, camera.delayed(t_d_s), CLEAN)
+@pytest.mark.parametrize(
+    ("method", "unit_s"),
+    [
+        (correlations.zncc_e_of_events, 0.010),
+        (correlations.event_rate_of_events, 0.001),
+        (correlations.zncc_f_of_frames, 0.020),
+    ],
+)
+def test_delayed_signals_are_recovered(method, unit_s, flickering):
+    for t_d_s in (0.0, 0.14, -0.7):
+        estimate = method(flickering, flickering.delayed(t_d_s), CLEAN)
         assert estimate.status == "ok"
         assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)  # a multiple of the unit
         assert np.allclose(np.diff(estimate.candidates_s), unit_s)
         assert np.argmin(estimate.costs) == np.argmin(np.abs(estimate.candidates_s - t_d_s))
         assert estimate.R is None
-    between = method(camera, camera.delayed(0.0337), CLEAN)
+    between = method(flickering, flickering.delayed(0.0337), CLEAN)
     assert between.t_d_s == pytest.approx(0.0337, abs=unit_s)
-
-
-def test_delayed_frames_are_recovered():
-    rng, times_s = np.random.default_rng(0), 0.02 * np.arange(500)
-    frames = np.cumsum(rng.normal(size=(500, 4, 5)) * rng.uniform(0.1, 2.0, (500, 1, 1)), axis=0)
-    nothing = np.zeros(0, EVENT_DTYPE)
-
-    def found(later_s):
-        cameras = [Observation(nothing, frames, times_s + by_s) for by_s in (0.0, later_s)]
-        return correlations.zncc_f_of_frames(*cameras, CLEAN).t_d_s
-
-    for t_d_s in (0.0, 0.1, -0.5):
-        assert found(t_d_s) == pytest.approx(t_d_s, abs=1e-9)  # rounding
-    units = found(0.105) / 0.02
+    units = between.t_d_s / unit_s
     assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
 
 
@@ -189,11 +181,9 @@ def test_constant_signals_are_refused():
     assert np.isnan(estimate.t_d_s)
 
 
-def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree(flight):
+def test_albl_says_that_no_pairs_agree(flight):
     """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
     scene, cameras = flight
-    few = [Observation(camera.events[::100]) for camera in cameras]
-    assert albl(*few, scene.unknown_rig, CLEAN).status == "too_few_samples"
     config = replace(CLEAN, interval_s=(T_D_S, T_D_S + 1e-7))
     estimate = albl(*cameras, scene.unknown_rig, config)
     assert estimate.status == "no_convergence"

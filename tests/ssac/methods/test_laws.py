@@ -81,6 +81,7 @@ def test_offset_and_pose_are_recovered(name, chain):
     assert len(estimate.alternatives_s) == len(estimate.unobservable) == 0
     if name in REFINING:
         assert abs(estimate.t_d_s - T_D_S) < 5.0 * estimate.t_d_std_s
+        assert_same(estimate.start, chain.estimate(METHODS[name].starts_from))
     if estimate.covariance is not None:
         sigmas_deg = np.degrees(np.sqrt(np.diag(estimate.covariance)))
         # Norms of three and of two errors: 5 deviations as for t_d.
@@ -121,18 +122,6 @@ def test_too_few_events_are_refused_under_the_methods_name(name, chain):
     assert "100000 events" in estimate.reason
     assert "track" not in estimate.reason
     assert not estimate.has_offset
-
-
-@pytest.mark.parametrize("name", REFINING)
-def test_a_start_that_is_there_need_not_be_searched_for(name, chain):
-    method = METHODS[name]
-    start, views = chain.estimate(method.starts_from), chain.views()
-    if method.needs_extrinsics:
-        views = views.with_pose(SCENE.rig)
-    estimate = method.function(start, views)
-    assert_same(estimate, chain.estimate(name))
-    assert estimate.start is not None
-    assert start.method == method.starts_from
 
 
 # --- What is left open ---

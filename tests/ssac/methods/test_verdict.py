@@ -76,14 +76,9 @@ def test_what_is_not_ordinary_is_said(distances_px, object_px, against, words):
 def with_deviations(t_d_std_s=1e-3, **turns_deg):
     """An estimate whose pose is certain to 0.1 deg, but for some of its five angles."""
     degrees = [turns_deg.get(f"angle_{k}", 0.1) for k in range(5)]
-    return Estimate(
-        "joint",
-        t_d_s=T_D_S,
-        t_d_std_s=t_d_std_s,
-        R=np.eye(3),
-        t=np.array([1.0, 0.0, 0.0]),
-        covariance=np.diag([t_d_std_s**2, *np.deg2rad(degrees) ** 2]),
-    )
+    covariance = np.diag([t_d_std_s**2, *np.deg2rad(degrees) ** 2])
+    pose = {"R": np.eye(3), "t": np.eye(3)[0], "covariance": covariance}
+    return Estimate("joint", t_d_s=T_D_S, t_d_std_s=t_d_std_s, **pose)
 
 
 @pytest.mark.parametrize(
@@ -163,18 +158,15 @@ def test_time_out_of_view_is_no_motion():
 
 
 @pytest.mark.parametrize(
-    ("std_rad", "status"),
-    [(np.deg2rad(0.5), Status.AMBIGUOUS_POSE), (np.deg2rad(5.5), Status.DEGENERATE_POSE)],
+    ("std_deg", "status"), [(0.5, Status.AMBIGUOUS_POSE), (5.5, Status.DEGENERATE_POSE)]
 )
-def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_rad, status):
+def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_deg, status):
     """Bug: the search put the one first and the refinement the other."""
-    turns = (Rotation.from_euler("y", deg, degrees=True).as_matrix() for deg in (0.0, 20.0))
-    solutions = [
-        Solution(
-            replace(with_deviations(angle_0=np.rad2deg(std_rad)), R=R), distance_px, object_px=10.0
-        )
-        for R, distance_px in zip(turns, (0.10, 0.11), strict=True)
-    ]
+    solutions = []
+    for turn_deg, distance_px in ((0.0, 0.10), (20.0, 0.11)):
+        R = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
+        estimate = replace(with_deviations(angle_0=std_deg), R=R)
+        solutions.append(Solution(estimate, distance_px, OBJECT_PX))
     found = choose(Estimate("joint"), solutions, Rules())
     assert found.status == status
     assert found.t_d_s == T_D_S
