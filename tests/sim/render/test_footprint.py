@@ -10,27 +10,19 @@ from sim.scene.drone import Drone
 from sim.scene.flyers import bird, quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
-from tests.sim.scenes import LENSES, box_drone, poses
+from tests.sim.scenes import LENSES, box_drone, poses, straight
 
-DRONE = quadrotor()
 RIGS = {
     lens: two_view_rig(90.0, distortion_model=lens, distortion_coeffs=coeffs)
     for lens, coeffs in LENSES.items()
 }
 
 
-def across_the_view(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fly from far left to far right of camera 1, level, in n instants of a second."""
-    times_s = np.linspace(0.0, 1.0, n)
-    T_W_B = np.tile(np.eye(4), (n, 1, 1))
-    T_W_B[:, 0, 3] = 16.0 * (times_s - 0.5)
-    return times_s, T_W_B
-
-
 @pytest.mark.parametrize("lens", LENSES)
 def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str) -> None:
-    camera = RIGS[lens].cameras[0]
-    seen = footprint(DRONE, camera, *across_the_view(600))  # more than are projected at a time
+    camera, times_s = RIGS[lens].cameras[0], np.linspace(0.0, 1.0, 600)
+    T_W_B = straight(times_s, (-8.0, 0.0, 0.0), (16.0, 0.0, 0.0))
+    seen = footprint(quadrotor(), camera, times_s, T_W_B)  # more than are projected at a time
     entered = int(np.argmax(seen.visible))
     left = len(seen.visible) - int(np.argmax(seen.visible[::-1]))
     assert 0 < entered < left < 600

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,6 @@ from sim.twin.bench import printed
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
 TWO_TONE += [0.00534553354, 0.00354055825, 0.000429919477, 0.00879122787]
-Builder = Callable[..., Drone]
-BUILDERS = pytest.mark.parametrize("build", [quadrotor, two_tone])
 
 
 def vertices_m(drone: Drone, time_s: float = 0.0) -> np.ndarray:
@@ -46,10 +43,8 @@ def as_mesh(part: Part) -> trimesh.Trimesh:
 # --- Quadrotors ------------------------------------------------------------------------------
 
 
-@BUILDERS
-def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(
-    build: Builder,
-) -> None:
+@pytest.mark.parametrize("build", QUADROTORS.values())
+def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(build: Any) -> None:
     still, spinning = build(), build(rotor_hz=40.0)
     assert [part.joint is None for part in still.parts] == [True]
     assert [part.joint is None for part in spinning.parts] == [True, False, False, False, False]

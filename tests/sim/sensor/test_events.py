@@ -13,7 +13,6 @@ from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
 from tests.sim.scenes import counts, reference_levels, rng, smooth_video
 
 EPS = 1e-3
-ZERO = np.zeros(1, np.int64)
 SHAPE = (50, 60)
 FLICKER_RAD = 1.0  # away from crests, where a threshold may just be reached or not
 IDEAL = SensorConfig()
@@ -321,7 +320,7 @@ def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
     video, times_s = smooth_video(100, 20, 30), 5e-3 * np.arange(100)
     sensor = Sensor(config, video[0], 0.0, rng(1))
     for k in range(1, 100):
-        sensor.feed(times_s[k : k + 1], ZERO, ZERO, video[k : k + 1])
+        feed(sensor, times_s[k : k + 1], video[k : k + 1])
         distance = np.log((video[k] + EPS) / sensor._reference)
         # Between instants both light and the leak's exponential are taken as linear.
         assert np.abs(distance).max() < 0.25 + 1e-3
