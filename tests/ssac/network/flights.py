@@ -15,6 +15,7 @@ from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.points import PointTrack
 from ssac.rules import Rules
+from tests.ssac.synthetic import project
 
 RULES = Rules()
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
@@ -35,6 +36,11 @@ class Flight:
     skews_ppm: np.ndarray  # (c,)
     poses: list[tuple[np.ndarray, np.ndarray]]  # x_k = R X + t, X in the first camera's frame
     path: BSpline  # in the first camera's frame and on its clock [m]
+
+    def image_px(self, k: int, times_s: np.ndarray) -> np.ndarray:
+        """Where camera k has the object at the first clock's times, but for noise."""
+        R, t = self.poses[k]
+        return project(self.path(times_s) @ R.T + t, CAMERA.K)
 
     def link(self, a: int, b: int, off_s: float = 0.0, rng=None) -> Link:
         """What a pair tells, off by so much; its pose by half a degree."""
@@ -97,9 +103,8 @@ def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -
     seen = []
     for k, (R, t) in enumerate(poses):
         times_s = np.arange(0.3, DURATION_S - 0.3, 1.0 / FPS) + 0.013 * k
-        local = path(times_s) @ R.T + t
-        pixels = local @ CAMERA.K.T
-        pixels = pixels[:, :2] / pixels[:, 2:] + noise.normal(0.0, noise_px, (len(times_s), 2))
+        pixels = project(path(times_s) @ R.T + t, CAMERA.K)
+        pixels += noise.normal(0.0, noise_px, pixels.shape)
         inside = np.all((pixels > 0.0) & (pixels < [959.0, 599.0]), axis=1)
         shown_s = times_s + delays_s[k] + 1e-6 * skews_ppm[k] * (times_s - 8.0)
         track = PointTrack(shown_s[inside], pixels[inside])

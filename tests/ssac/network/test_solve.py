@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.clock import Clock
 from ssac.estimate import Estimate, Status
 from ssac.network.adjustment import border_offsets, known
-from ssac.network.graph import Link, factor_of, shared_by
+from ssac.network.graph import factor_of, shared_by
 from ssac.network.solve import NetworkAnswer, answer_of, path_at
 from ssac.network.state import BEHIND
 from ssac.points import PointTrack
 from ssac.rules import BodyRules
 from ssac.track.moments import View, image_by_place, perspective_shifts
 from tests.ssac.network.flights import CAMERA, RULES, Flight, make_flight, seen_by
+from tests.ssac.synthetic import project
 from tests.ssac.synthetic import rotation_angle_deg as turn_deg
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])
@@ -152,8 +152,7 @@ def test_a_path_that_leaves_clocks_open_is_no_crash_and_no_answer(speed_m_s) -> 
     for k, (R, t) in enumerate(flight.poses):
         times_s = np.arange(0.3, 15.7, 0.05) + 0.013 * k
         path = middle + np.outer(times_s - 8.0, speed_m_s * np.array([1.0, 0.3, 0.6]))
-        pixels = (path @ R.T + t) @ CAMERA.K.T
-        track = PointTrack(times_s + flight.delays_s[k], pixels[:, :2] / pixels[:, 2:])
+        track = PointTrack(times_s + flight.delays_s[k], project(path @ R.T + t, CAMERA.K))
         seen.append(seen_by(track, f"cam{k + 1}", True))
     answer = replace(flight, seen=seen).solved()
     # Rounding decides whether a normal matrix without noise is singular, or nearly so.
@@ -165,11 +164,9 @@ def test_readouts_are_counted_once_told_by_the_rig_or_found(is_told: bool) -> No
     flight, readouts_s = make_flight(3, noise_px=0.05), (0.0, 0.03, 0.015)
 
     def read_out(k: int, times_s: np.ndarray) -> tuple[np.ndarray, dict]:
-        before, (R, t) = flight.seen[k].points_px, flight.poses[k]
-        pixels = before
+        pixels = before = flight.seen[k].points_px
         for _ in range(4):  # a row is read out when its share of the readout has passed
-            local = flight.path(times_s + readouts_s[k] * pixels[:, 1] / 599.0) @ R.T + t
-            pixels = (local @ CAMERA.K.T)[:, :2] / local[:, 2:]
+            pixels = flight.image_px(k, times_s + readouts_s[k] * pixels[:, 1] / 599.0)
         camera = replace(CAMERA, readout_s=readouts_s[k] if is_told else None)
         return pixels - before, {"camera": camera}
 
@@ -187,9 +184,7 @@ def test_the_length_by_which_events_are_behind_is_found_and_frames_are_not(has_f
     flight = make_flight(3, noise_px=0.05)
 
     def moved(k: int, times_s: np.ndarray) -> tuple[np.ndarray, dict]:
-        R, t = flight.poses[k]
-        ends = [(flight.path(times_s + step_s) @ R.T + t) @ CAMERA.K.T for step_s in (-1e-3, 1e-3)]
-        way = ends[1][:, :2] / ends[1][:, 2:] - ends[0][:, :2] / ends[0][:, 2:]
+        way = flight.image_px(k, times_s + 1e-3) - flight.image_px(k, times_s - 1e-3)
         return -0.2 * way / np.linalg.norm(way, axis=1)[:, None], {}
 
     found = seen_as(flight, moved, has_frames).solved()
@@ -259,10 +254,8 @@ def true_pair(flight, a, b, turn_rad=0.0):
     """What a pair without errors tells, or with a turn."""
     link = flight.link(a, b)
     R = Rotation.from_rotvec([0.0, turn_rad, 0.0]).as_matrix() @ link.R
-    skew_ppm = flight.skews_ppm[b] - flight.skews_ppm[a]
-    at_s = 8.0 + flight.delays_s[a]  # in the middle of the flight, on a's clock
-    clock = Clock(flight.delays_s[b] - flight.delays_s[a], skew_ppm, at_s)
-    return Link(clock, True, link.cost, R, link.t, np.diag(DEVIATIONS))
+    clock = replace(link.clock, skew_ppm=flight.skews_ppm[b] - flight.skews_ppm[a])
+    return replace(link, clock=clock, R=R, factor=np.diag(DEVIATIONS))
 
 
 @pytest.fixture(scope="module")
