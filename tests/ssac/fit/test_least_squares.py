@@ -60,6 +60,11 @@ def rate_problem(seed=0, noise_px=NOISE_PX, fades_in=0.0, **options):
     return Problem(pairs, SCENE.rig, FitRules(), columns=(column,), **options)
 
 
+def left_by_fit(problem):
+    """The residuals of a solution: the loss of `tangency` turns within the noise, so slowly."""
+    return linearise(problem, solve(problem, TRUTH, max_steps=100).parameters)
+
+
 @pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 @pytest.mark.parametrize("pose_is_known", [False, True])
 def test_a_clock_rate_is_one_more_column(turn, pose_is_known):
@@ -79,18 +84,14 @@ def test_a_clock_rate_is_one_more_column(turn, pose_is_known):
 
 @pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
-    free = rate_problem(turn=turn)
-    without = solve(free, TRUTH, max_steps=100).parameters.columns[0]
-    at = solve(free, TRUTH).parameters
-    std = np.sqrt(linearise(free, at).covariance()[-1, -1])
+    without = left_by_fit(rate_problem(turn=turn))
+    std = np.sqrt(without.covariance()[-1, -1])
     shares, stds = [], []
     for ratio in (1e-3, 1.0, 1e3):
         prior = Prior(FIRST_COLUMN, 0.0, ratio * std)
-        problem = rate_problem(turn=turn, priors=(prior,))
-        found = solve(problem, TRUTH, max_steps=100).parameters
-        shares.append(found.columns[0] / without)
-        covariance = linearise(problem, found).covariance()
-        stds.append(np.sqrt(covariance[-1, -1]) / std)
+        held = left_by_fit(rate_problem(turn=turn, priors=(prior,)))
+        shares.append(held.parameters.columns[0] / without.parameters.columns[0])
+        stds.append(np.sqrt(held.covariance()[-1, -1]) / std)
     assert shares[0] == pytest.approx(0.0, abs=1e-3)
     assert 0.2 < shares[1] < 0.8  # one half, but for Student's factor and the loss's efficiency
     assert shares[2] == pytest.approx(1.0, abs=1e-3)
@@ -105,14 +106,13 @@ def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
     shares, unfair = [], []
     for seed in range(6):
         free = rate_problem(seed, turn=turn, fades_in=fades_in)
-        found = solve(free, TRUTH, max_steps=100).parameters
-        residuals = linearise(free, found)
-        std = np.sqrt(residuals.covariance()[-1, -1])
+        found = left_by_fit(free)
+        std = np.sqrt(found.covariance()[-1, -1])
         assert 0.05 * RATE < std < RATE  # neither tells all
-        for scale_px, given in ((residuals.fair_scales()[-1], shares), (np.nan, unfair)):
+        for scale_px, given in ((found.fair_scales()[-1], shares), (np.nan, unfair)):
             prior = Prior(FIRST_COLUMN, 0.0, std, scale_px)
-            held = solve(replace(free, priors=(prior,)), TRUTH, max_steps=100).parameters
-            given.append(held.columns[0] / found.columns[0])
+            held = left_by_fit(replace(free, priors=(prior,)))
+            given.append(held.parameters.columns[0] / found.parameters.columns[0])
     # One half each. A loss that turns within slow noise has several minima, and a prior may leave
     # one for another: hence the median.
     assert np.median(shares) == pytest.approx(0.5, abs=0.1)
@@ -172,12 +172,12 @@ def problem_of(rig, noise_px=0.0, seed=0, **options):
 
 
 def fitted(problem):
-    """The problem with all that is to be allowed for, and its solution."""
+    """What is left at the solution of a problem with all that is to be allowed for."""
     allowance = intrinsics.Allowance(problem.rig)
     first = solve(problem, TRUTH).parameters
     allowance.learn(problem, first)
     allowed = allowance.added(problem)
-    return allowed, solve(allowed, first).parameters
+    return linearise(allowed, solve(allowed, first).parameters)
 
 
 def rig_of(focal, centre_px, **wrong):
@@ -225,8 +225,7 @@ def test_larger_deviations_state_larger_ones(pose_is_known):
     deviations = []
     for factor in (0.0, 0.1, 0.3, 1.0, 3.0, 10.0):
         rig = rig_of(0.001 * factor, 0.3 * factor)
-        problem, found = fitted(problem_of(rig, 0.3, pose_is_known=pose_is_known))
-        covariance = linearise(problem, found).covariance()
+        covariance = fitted(problem_of(rig, 0.3, pose_is_known=pose_is_known)).covariance()
         deviations.append(np.sqrt(np.diag(covariance)[: 1 if pose_is_known else 6]))
     # The intrinsics take a part of the noise, and what is left is less by up to 2 %.
     assert np.all(np.diff(deviations, axis=0) > -0.02 * np.array(deviations)[:-1])
@@ -239,28 +238,27 @@ def test_larger_deviations_state_larger_ones(pose_is_known):
 def test_drawn_errors_are_within_the_stated_deviations(seed):
     rng = np.random.default_rng(seed)
     shares = dict(zip(NAMES, rng.normal(0.0, (0.01, 0.01, 0.015, 0.015)), strict=True))
-    problem, found = fitted(problem_of(rig_of(0.01, 3.0, **shares), 0.3, seed))
-    covariance = linearise(problem, found).covariance()
+    residuals = fitted(problem_of(rig_of(0.01, 3.0, **shares), 0.3, seed))
+    covariance, found = residuals.covariance(), residuals.parameters
     error = rotation_angle_deg(found.R, SCENE.R)
     # 3.5 deviations of the one angle that strays most.
     assert np.radians(error) < 3.5 * np.sqrt(np.linalg.eigvalsh(covariance[1:4, 1:4])[-1])
     assert abs(found.t_d_s) < 3.5 * np.sqrt(covariance[0, 0])
     # The priors are weaker than this noise for the ratio fu / fv alone, so that the pose of exact
     # intrinsics is nowhere nearer; F is of the points, whatever it is made of.
-    F = fundamental_from_pose(*intrinsics.intrinsics_of(problem, found), found.R, found.t)
+    F = fundamental_from_pose(*intrinsics.intrinsics_of(residuals.problem, found), found.R, found.t)
     p1, p2 = track_pair(SCENE, TIMES_S)
     assert np.median(np.abs(sampson_distance(F, p1, p2))) < 0.1  # of 0.3 px noise at 400 pairs
 
 
 def test_evidence_against_the_intrinsics():
     # fu and fv differ by 3 % where 0.1 % is stated: no pose makes that good.
-    problem, found = fitted(problem_of(rig_of(0.001, 0.3, fu=0.03), 0.1))
-    residuals = linearise(problem, found)
+    residuals = fitted(problem_of(rig_of(0.001, 0.3, fu=0.03), 0.1))
     assert intrinsics.evidence(residuals, UNHIDDEN) > 3.5
     assert "camera 1's focal length wants to be" in intrinsics.wanted(residuals)
     for seed in range(4):
-        problem, found = fitted(problem_of(rig_of(0.001, 0.3), 0.1, seed))
-        assert intrinsics.evidence(linearise(problem, found), UNHIDDEN) < 3.5
+        residuals = fitted(problem_of(rig_of(0.001, 0.3), 0.1, seed))
+        assert intrinsics.evidence(residuals, UNHIDDEN) < 3.5
 
 
 def test_what_a_clock_strays_unseen_makes_no_prior_heavy():

@@ -120,8 +120,8 @@ ESTIMATORS = {
 }
 
 
-def pairs(seed, noise_px=0.0, outlier_share=0.0):
-    scene = make_scene(seed)
+def pairs(seed, noise_px=0.0, outlier_share=0.0, angle_deg=90.0):
+    scene = make_scene(seed, angle_deg)
     p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
     rng = np.random.default_rng(seed)
     p1, p2 = (p + rng.normal(0.0, noise_px, p.shape) for p in (p1, p2))
@@ -193,9 +193,7 @@ def test_the_pose_of_an_exact_f_is_recovered_with_either_sign(angle, sign):
 def test_the_nearest_pose_improves_on_the_decomposition():
     errors_deg = []
     for seed in range(10):
-        scene = make_scene(seed, angle_deg=30.0)
-        p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
-        p1, p2 = (p + np.random.default_rng(seed).normal(0.0, 0.3, p.shape) for p in (p1, p2))
+        scene, p1, p2 = pairs(seed, 0.3, angle_deg=30.0)
         F = reweighted_fundamental(p1, p2)
         pose, _ = pose_from_fundamental(F, K, K, p1, p2)
         nearest = nearest_pose(pose, F, K, K, p1, p2)
