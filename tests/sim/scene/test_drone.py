@@ -20,7 +20,6 @@ from sim.scene.flyers import (
 )
 from sim.twin.bench import printed
 
-Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
 TWO_TONE += [0.00534553354, 0.00354055825, 0.000429919477, 0.00879122787]
 
@@ -91,7 +90,7 @@ def test_two_tone_is_what_it_was() -> None:
 
 
 def test_joint_keeps_its_axis_and_turns_by_the_right_hand() -> None:
-    joint = Joint(axis_B=2.0 * Z_AXIS, origin_B_m=np.array([1.0, 0.0, 0.0]), rate_hz=5.0)
+    joint = Joint(axis_B=2.0 * np.eye(3)[2], origin_B_m=np.array([1.0, 0.0, 0.0]), rate_hz=5.0)
     T_B_P = joint.transforms(np.array([0.0, 0.05, 0.2]))  # no turn, a quarter, a whole one
     on_axis = np.array([1.0, 0.0, 3.0, 1.0])
     np.testing.assert_allclose(T_B_P @ on_axis, np.tile(on_axis, (3, 1)), atol=1e-14)

@@ -73,12 +73,6 @@ def feed(sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any]) -> N
     sensor.feed(times_s, zeros, zeros, video)
 
 
-def feed_crop(sensor: Sensor, time_s: float, frame: NDArray[Any], box: Any) -> None:
-    (x0, y0), (x1, y1) = box
-    crop = np.ascontiguousarray(frame[None, y0:y1, x0:x1])
-    sensor.feed(np.array([time_s]), np.array([x0]), np.array([y0]), crop)
-
-
 def stepping(before: float, after: float, at_s: float, until_s: float, shape: Any = (1, 1)) -> Any:
     """A video of light that changes once, within a nanosecond, and its times."""
     times_s = np.array([0.0, at_s, at_s + 1e-9, until_s])
@@ -208,10 +202,12 @@ def test_crops_give_the_events_of_whole_frames(name: str) -> None:
         low = np.array([xs.min(), ys.min()]) if len(xs) else np.array([3, 3])
         high = np.array([xs.max(), ys.max()]) + 1 if len(xs) else np.array([4, 4])
         margin = margins.integers(0, 3, (2, 2))
-        box = (np.maximum(low - margin[0], 0), np.minimum(high + margin[1], [40, 30]))
+        x0, y0 = np.maximum(low - margin[0], 0)
+        x1, y1 = np.minimum(high + margin[1], [40, 30])
         # An instant without the square may be left out when those around it are without as well.
         if (video[k - 1 : k + 2] != wall).any():
-            feed_crop(sensor, times_s[k], video[k], box)
+            crop = np.ascontiguousarray(video[k : k + 1, y0:y1, x0:x1])
+            sensor.feed(times_s[k : k + 1], np.array([x0]), np.array([y0]), crop)
     whole = events_of(video, times_s, *SENSORS[name])
     np.testing.assert_array_equal(sensor.finish(times_s[-1]), whole)
     assert len(whole) > 300

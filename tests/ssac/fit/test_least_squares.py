@@ -32,7 +32,6 @@ SINCE_S = TIMES_S - np.mean(TIMES_S)
 T = SCENE.t / np.linalg.norm(SCENE.t)
 TRUTH = Parameters(0.0, SCENE.R, T)
 T_D_S, RATE = 0.004, 60e-6  # of camera 2's clock: 0.6 ms at both ends
-NOISE_PX = 0.1
 TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
 
 
@@ -52,7 +51,7 @@ def pairs_of(seen_s, noise_px, seed, fades_in=0.0):
     return WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
 
 
-def rate_problem(seed=0, noise_px=NOISE_PX, fades_in=0.0, **options):
+def rate_problem(seed=0, noise_px=0.1, fades_in=0.0, **options):
     """Pairs sampled as if both clocks were one; camera 2's has an offset and a rate."""
     seen_s = TIMES_S - (T_D_S + RATE * SINCE_S)  # camera 2's clock shows TIMES_S then
     pairs = pairs_of(seen_s, noise_px, seed, fades_in)
