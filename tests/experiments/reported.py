@@ -9,21 +9,32 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from experiments.lab.code import ROOT
 from experiments.lab.grid import config_names, flight_seed
 from experiments.lab.recorded import Pair
 from experiments.lab.results import csv_text
 from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_tables, ordered_runs
-from ssac.camera import Rig
+from ssac.estimate import Estimate
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import OURS
 from ssac.track.observation import Observation
-from tests.recorded import KALIBR
+from tests.recorded import KALIBR, kalibr_with_pose
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
+RESULTS = ROOT / "results"  # as committed
 METHODS = tuple(method.name for method in OURS)
 FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
            "success", "efficiency")  # fmt: skip
+PROVENANCE = {
+    "command": "ssac tables",
+    "commit": "0123456789ab",
+    "versions": {"numpy": "2.2.6"},
+    "gl": {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"},
+    "config": {"title": "made up"},
+    "wall_time_s": 12.5,
+    "recordings_simulated": 3,
+}
 
 
 def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.DataFrame:
@@ -45,16 +56,7 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
     (folder / "comparison.csv").write_text(csv_text(comparison))
     for name in (*FIGURES, *config_names("ablation_")):
         cv2.imwrite(str(folder / f"{name}.png"), np.full((30, 60, 3), 200, np.uint8))
-    provenance = {
-        "command": "ssac tables",
-        "commit": "0123456789ab",
-        "versions": {"numpy": "2.2.6"},
-        "gl": {"backend": "osmesa"},
-        "config": {"title": "made up"},
-        "wall_time_s": 12.5,
-        "recordings_simulated": 3,
-    }
-    (folder / "esim_20.provenance.json").write_text(json.dumps(provenance))
+    (folder / "esim_20.provenance.json").write_text(json.dumps(PROVENANCE))
 
 
 def _run(
@@ -94,9 +96,8 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
     for name, events in zip(("cam1", "cam2"), make_events(scene, 0, size_m=0.4), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
     (folder / "rig.yaml").write_text(KALIBR)
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
-    times_s = np.linspace(0.0, duration_s, 2001)
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
+    T_2_1, times_s = scene.rig.T_2_1, np.linspace(0.0, duration_s, 2001)
     truth = {
         "R": scene.R.tolist(),
         "t": (scene.t / np.linalg.norm(scene.t)).tolist(),
@@ -110,6 +111,16 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
 
 DURATION_S = 6.0
 SCENE = make_scene(0, duration_s=DURATION_S)
+T = SCENE.t / np.linalg.norm(SCENE.t)
+
+
+def joint_estimate(error_s: float = 0.0, **values: object) -> Estimate:
+    """What `joint` may find on this flight, where the offset is 50 ms."""
+    fields = {
+        "t_d_s": 0.05 + error_s, "t_d_std_s": 1e-3, "R": SCENE.R, "t": T,
+        "covariance": np.diag([1e-6] + 5 * [1e-4]),
+    } | values  # fmt: skip
+    return Estimate("joint", **fields)  # type: ignore[arg-type]
 
 
 @cache
@@ -119,6 +130,4 @@ def flown(seed: int = 0) -> Pair:
         Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
         for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
     )
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = SCENE.R, SCENE.t
-    return Pair(first, second, Rig(SCENE.rig.cam1, SCENE.rig.cam2, T_2_1))
+    return Pair(first, second, SCENE.rig)

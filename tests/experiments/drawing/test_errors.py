@@ -2,7 +2,6 @@
 
 import io
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from PIL import Image
 
+from experiments.drawing import style
 from experiments.drawing.errors import (
     REFINED,
     ablation_figure,
@@ -20,26 +20,15 @@ from experiments.drawing.errors import (
     published_means,
     success_figure,
 )
-from experiments.drawing.style import (
-    ACCENT,
-    FILLS,
-    STANDARD_ERROR,
-    SURVIVORS,
-    WIDTH_IN,
-    label_log_axis,
-    method_looks,
-    value_color,
-)
 from experiments.lab.grid import GridConfig, named_config
 from experiments.lab.results import DPI, Results, png_bytes
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import ERRORS
 from ssac.pipeline.plots import BLUE, YELLOW
 from ssac.pipeline.registry import METHODS
-from tests.experiments.reported import made_up_runs
+from tests.experiments.reported import RESULTS, made_up_runs
 
 PUBLISHED = load_published()
-RESULTS = Path(__file__).parents[3] / "results"
 ANGLES_DEG = [30.0, 60.0, 90.0, 120.0, 150.0]
 
 
@@ -137,7 +126,7 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     assert labels(figure)[:2] == ["ssac (2 of 120 refused)", "ssac-known (120 of 120 refused)"]
     assert "zncc_e" in labels(figure)
     assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is only in the legend
-    assert SURVIVORS[0] in labels(figure)
+    assert style.SURVIVORS[0] in labels(figure)
     hollow = [one for one in figure.axes[0].lines if one.get_markerfacecolor() == "white"]
     assert len(hollow) == 1  # both runs are of one angle
     assert [text.get_text() for text in figure.axes[0].texts] == ["10"]
@@ -177,10 +166,10 @@ def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
 
 
 def test_a_picture_says_nothing_of_the_program_and_keeps_its_colours() -> None:
-    figure = Figure(figsize=(WIDTH_IN, 2.0))
+    figure = Figure(figsize=(style.WIDTH_IN, 2.0))
     figure.subplots().plot([0.0, 1.0], [0.0, 1.0], color="#D55E00", lw=20)
     with Image.open(io.BytesIO(png_bytes(figure))) as image:
-        assert image.size == (WIDTH_IN * DPI, 2.0 * DPI)
+        assert image.size == (style.WIDTH_IN * DPI, 2.0 * DPI)
         assert not {"Software", "Creation Time", "date"} & set(image.info)
         # The palette holds what was drawn, within what its 96 colours allow.
         middle = image.convert("RGB").getpixel((image.width // 2, image.height // 2))
@@ -188,20 +177,20 @@ def test_a_picture_says_nothing_of_the_program_and_keeps_its_colours() -> None:
 
 
 def test_no_two_methods_look_alike_and_each_the_same_in_every_company() -> None:
-    looks = method_looks([*METHODS, "theirs", "others"])
+    looks = style.method_looks([*METHODS, "theirs", "others"])
     assert len(set(looks.values())) == len(looks)
-    assert method_looks(["ssac"])["ssac"] == looks["ssac"]
+    assert style.method_looks(["ssac"])["ssac"] == looks["ssac"]
     assert looks["ssac-known"].color == looks["ssac"].color
     assert looks["ssac-known"].style["fillstyle"] != looks["ssac"].style["fillstyle"]
 
 
 def test_no_colour_stands_for_two_things() -> None:
     """Siblings share theirs, as they differ in their markers."""
-    methods = {look.color for look in method_looks([*METHODS, *"abcd"]).values()}
+    methods = {look.color for look in style.method_looks([*METHODS, *"abcd"]).values()}
     named = {"sim.angle_deg": ANGLES_DEG, "sim.spline.duration_s": (10.0, 20.0), "other": range(5)}
-    values = [to_hex(value_color(name, value, 0.25 * place)).upper()
+    values = [to_hex(style.value_color(name, value, 0.25 * place)).upper()
               for name, of in named.items() for place, value in enumerate(of)]  # fmt: skip
-    colors = [*methods, *values, ACCENT, *FILLS, BLUE, YELLOW]
+    colors = [*methods, *values, style.ACCENT, *style.FILLS, BLUE, YELLOW]
     assert len(set(colors)) == len(colors)
 
 
@@ -209,7 +198,7 @@ def test_no_colour_stands_for_two_things() -> None:
 def test_three_numbers_at_least_are_on_a_logarithmic_axis(reach: tuple[float, float]) -> None:
     axes = Figure().subplots()
     axes.set(yscale="log", ylim=reach)
-    label_log_axis(axes.yaxis)
+    style.label_log_axis(axes.yaxis)
     ticks = axes.get_yticks()
     assert np.count_nonzero((ticks >= reach[0]) & (ticks <= reach[1])) >= 3
 
@@ -255,12 +244,12 @@ def test_offsets_are_pooled_and_an_angle_has_its_colour_in_every_figure() -> Non
     grid, runs = runs_of_ablation("ablation_davis346")
     title, names = said(ablation_figure(runs, grid))
     assert (title, names) == (
-        "Mean errors of 2 flights: noise of a DAVIS346", ["10 s", "20 s", STANDARD_ERROR[0]],
+        "Mean errors of 2 flights: noise of a DAVIS346", ["10 s", "20 s", style.STANDARD_ERROR[0]],
     )  # fmt: skip
     grid, runs = runs_of_ablation("ablation_brightness")
     figure = ablation_figure(runs, grid)
     assert said(figure)[1][0] == "90 deg"
-    assert figure.axes[0].lines[0].get_color() == value_color("sim.angle_deg", 90, 0.0)
+    assert figure.axes[0].lines[0].get_color() == style.value_color("sim.angle_deg", 90, 0.0)
 
 
 def test_of_two_more_parameters_one_has_the_rows_and_the_lines_are_of_methods() -> None:
@@ -288,10 +277,10 @@ def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     hollow = [line for line in axes[0].lines if line.get_markerfacecolor() == "white"]
     assert [float(line.get_xdata()[0]) for line in hollow] == [pytest.approx(1600.0)]
     assert [text.get_text() for text in axes[0].texts] == ["7"]  # of 10
-    assert SURVIVORS[0] in labels(figure)
+    assert style.SURVIVORS[0] in labels(figure)
     runs.loc[own, "status"] = "too_few_samples"
     figure = ablation_figure(runs, grid)
-    assert SURVIVORS[0] not in labels(figure)  # none is left that could be hollow
+    assert style.SURVIVORS[0] not in labels(figure)  # none is left that could be hollow
     for line in drawn_means(figure.axes[0]):
         assert np.isnan(line[-1, 1])
         assert np.isfinite(line[:-1]).all()

@@ -34,23 +34,6 @@ def with_events(chain, events):
     return Chain((Observation(events), chain.recorded(1)), chain.rig)
 
 
-def with_noise(chain, rate_hz: float):
-    """Add events at random pixels and times to camera 1."""
-    rng = np.random.default_rng(1)
-    noise = np.empty(round(rate_hz * 8.0), EVENT_DTYPE)
-    for field, end in (("t", 8_000_000), ("x", WIDTH), ("y", HEIGHT), ("p", 2)):
-        noise[field] = rng.integers(0, end, len(noise))
-    events = np.concatenate([chain.recorded(0).events, noise])
-    return with_events(chain, events[np.argsort(events["t"])])
-
-
-def test_an_offset_is_added_to_camera_2_only(recorded, aligned) -> None:
-    as_recorded = load_recording(recorded.folder)
-    one, other = (as_recorded.recorded(k).events["t"] - aligned.recorded(k).events["t"]
-                  for k in range(2))  # fmt: skip
-    assert (set(one), set(other)) == ({0}, {round(1e6 * T_D_S)})
-
-
 def test_fig_5_shows_d_avg_which_is_least_at_the_true_offset(aligned) -> None:
     """Of a second and of 3 ms on each side. The mean of the events is no fixed point: 2 ms."""
     for axes, reach, near in zip(d_avg_figure(aligned).axes, (1.0, 3.0), (5e-3, 2.0), strict=True):
@@ -90,7 +73,12 @@ def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch
 
 
 def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
-    clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise(aligned, 2e4))
+    rng, noise = np.random.default_rng(1), np.empty(round(2e4 * 8.0), EVENT_DTYPE)
+    for field, end in (("t", 8_000_000), ("x", WIDTH), ("y", HEIGHT), ("p", 2)):
+        noise[field] = rng.integers(0, end, len(noise))
+    events = np.concatenate([aligned.recorded(0).events, noise])
+    with_noise = with_events(aligned, events[np.argsort(events["t"])])
+    clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise)
     titles = [
         [axes.get_title().split("\n")[1] for axes in figure.axes] for figure in (clean, noisy)
     ]

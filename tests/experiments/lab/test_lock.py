@@ -12,8 +12,7 @@ import pytest
 
 from experiments.lab import cache
 from experiments.lab.cache import claimed, remove_lapsed
-
-ROOT = Path(__file__).resolve().parents[3]
+from experiments.lab.code import ROOT
 
 HOLDING = """
 import sys, time

@@ -8,17 +8,7 @@ from experiments.lab.summary import markdown_table, means_with_stds, number, par
 from experiments.paper.comparison import PUBLISHED_RUNS, comparison_table, load_published
 from experiments.paper.esim import esim_tables
 from experiments.paper.page import results_page
-from tests.experiments.reported import made_up_runs
-
-PROVENANCE = {
-    "command": "ssac tables",
-    "commit": "0123456789ab",
-    "versions": {"numpy": "2.2.6"},
-    "gl": {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"},
-    "wall_time_s": 600.0,
-    "recordings_simulated": 100,
-}
-
+from tests.experiments.reported import PROVENANCE, made_up_runs
 
 RUNS = made_up_runs()
 

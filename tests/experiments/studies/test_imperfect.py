@@ -14,19 +14,10 @@ from experiments.studies.requirements import RequiredCell, RequiredRow
 from experiments.worlds.spoilt import SCENES, T_D_S, KindCell
 from sim.recording import SimConfig
 from ssac.estimate import Estimate
-from tests.experiments.reported import DURATION_S, SCENE, flown
+from tests.experiments.reported import DURATION_S, SCENE, T, flown, joint_estimate
 
 SEED = 5
 SIM = SimConfig(spline=replace(SimConfig().spline, duration_s=DURATION_S))
-T = SCENE.t / np.linalg.norm(SCENE.t)
-
-
-def estimate(error_s: float = 0.0, **values: object) -> Estimate:
-    fields = {
-        "t_d_s": T_D_S + error_s, "t_d_std_s": 1e-3, "R": SCENE.R, "t": T,
-        "covariance": np.diag([1e-6] + 5 * [1e-4]),
-    } | values  # fmt: skip
-    return Estimate("joint", **fields)  # type: ignore[arg-type]
 
 
 def row_of(found: Estimate, skew_ppm: float = 0.0) -> ImperfectRow:
@@ -36,20 +27,20 @@ def row_of(found: Estimate, skew_ppm: float = 0.0) -> ImperfectRow:
 
 def test_an_offset_is_scored_where_it_holds_and_what_is_refused_has_no_errors() -> None:
     """At t_ref the true offset of clocks that drift is another than in the middle."""
-    row = row_of(estimate(1e-4, t_ref_s=5.0, skew_ppm=110.0, skew_std_ppm=20.0), 100.0)
+    row = row_of(joint_estimate(1e-4, t_ref_s=5.0, skew_ppm=110.0, skew_std_ppm=20.0), 100.0)
     assert row.t_d_normalised == pytest.approx(-0.1)  # 0.1 ms found of 100 ppm times 2 s
     assert row.t_d_error_ms == pytest.approx(0.1)
     assert row.skew_normalised == pytest.approx(0.5)
     assert (row.offset_given, row.pose_given) == (True, True)
     assert row.r_mahalanobis == pytest.approx(0.0, abs=1e-6)
-    refused = row_of(estimate(1.0, status="no_match"))
+    refused = row_of(joint_estimate(1.0, status="no_match"))
     assert (refused.offset_given, refused.pose_given) == (False, False)
     assert np.isnan([refused.t_d_normalised, refused.r_mahalanobis, refused.t_d_error_ms]).all()
-    open_pose = row_of(estimate(2e-3, status="ambiguous_pose"))
+    open_pose = row_of(joint_estimate(2e-3, status="ambiguous_pose"))
     assert (open_pose.offset_given, open_pose.pose_given) == (True, False)
     assert open_pose.t_d_normalised == pytest.approx(2.0)
     assert np.isnan(open_pose.r_mahalanobis)
-    assert not row_of(replace(estimate(), method="joint-known")).pose_given
+    assert not row_of(replace(joint_estimate(), method="joint-known")).pose_given
 
 
 def test_a_method_is_run_on_what_was_spoilt() -> None:

@@ -18,9 +18,9 @@ from experiments.studies import real
 from experiments.studies.real import COLUMNS, PAIRS, PATHS, SHIFTED, STRAYS, TRIPLES, WITH_TRUTH
 from experiments.worlds.tracks import VARIABLE_RATES, data_sets, load_rtk, path_of
 from ssac.errors import SsacError
+from tests.experiments.reported import RESULTS
 
 DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; not ours to ship
-COMMITTED = Path(__file__).resolve().parents[3] / "results"
 (STUDY,) = real.STUDIES
 
 
@@ -28,7 +28,7 @@ COMMITTED = Path(__file__).resolve().parents[3] / "results"
 def folder(tmp_path: Path) -> Path:
     """The committed tables, to be spoilt."""
     for name in COLUMNS:
-        copy(COMMITTED / f"{name}.csv", tmp_path)
+        copy(RESULTS / f"{name}.csv", tmp_path)
     return tmp_path
 
 

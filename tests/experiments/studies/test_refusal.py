@@ -18,10 +18,10 @@ from experiments.worlds.spoilt import KindCell
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.track.observation import Observation
+from tests.experiments.reported import T, joint_estimate
 from tests.ssac.synthetic import make_events, make_scene
 
 FLIGHT = make_scene(0, duration_s=2.0)
-T = FLIGHT.t / np.linalg.norm(FLIGHT.t)
 PAIR = Pair(*(Observation(events) for events in make_events(FLIGHT, 0, T_D_S)), FLIGHT.rig)
 
 
@@ -35,19 +35,13 @@ def flown(seed: int) -> Pair:
     return PAIR
 
 
-def joint_estimate(error_s: float, status: str = "ok") -> Estimate:
-    covariance = np.diag([1e-6] + 5 * [1e-4])
-    return Estimate("joint", status, t_d_s=0.05 + error_s, t_d_std_s=1e-3, R=FLIGHT.R, t=T,
-                    covariance=covariance)  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("found", "t_d_s", "is_wrong"),
     [
         (joint_estimate(4.9e-3), 0.05, False),  # five deviations are the limit
         (joint_estimate(5.1e-3), 0.05, True),
         (replace(joint_estimate(0.0), R=FLIGHT.R @ make_scene(0, 40.0).R), 0.05, True),
-        (joint_estimate(1.0, "degenerate_pose"), 0.05, True),  # an offset without a pose
+        (joint_estimate(1.0, status="degenerate_pose"), 0.05, True),  # an offset without a pose
         (joint_estimate(0.0), np.nan, True),  # any answer for different objects
         (Estimate("ssac", t_d_s=0.05), np.nan, True),
         (Estimate("ssac", t_d_s=0.0549), 0.05, False),  # without deviations
@@ -59,7 +53,7 @@ def test_what_is_a_confident_wrong_answer(found, t_d_s, is_wrong):
 
 
 def test_a_refused_answer_is_not_confident_and_may_list_the_true_offset() -> None:
-    refused = joint_estimate(0.8, "ambiguous_offset")
+    refused = joint_estimate(0.8, status="ambiguous_offset")
     row = judged(replace(refused, alternatives_s=np.array([0.05])), case_of())
     assert (row.confident_wrong, row.offset_given, row.pose_given) == (False, False, False)
     assert (row.truth_among_offsets, row.alternatives) == (True, 1)

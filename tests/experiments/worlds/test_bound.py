@@ -22,7 +22,6 @@ from ssac.rules import FitRules
 from ssac.search.two_views import TwoViews
 from ssac.track.observation import Observation
 from tests.experiments.reported import record_flight
-from tests.recorded import kalibr_with_pose
 from tests.ssac import synthetic
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
 
@@ -138,7 +137,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of SCENE, camera 1's frame being the world's."""
     folder = tmp_path_factory.mktemp("recorded")
     record_flight(folder)
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(SCENE.R, SCENE.t))
     return folder
 
 
