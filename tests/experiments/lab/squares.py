@@ -125,7 +125,3 @@ def flip_a_byte(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(bytes(content))
-
-
-DAMAGES = (delete, delete_a_row, double_a_row, double_a_number)
-"""Of a table or page: a row is gone, is there twice, or has another number."""

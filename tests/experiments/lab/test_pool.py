@@ -103,12 +103,7 @@ def test_a_pool_that_is_left_ends_what_it_was_on():
 
 
 def test_what_cannot_be_sent_or_read_back_is_an_error_and_no_death():
-    tasks = [
-        Lock,
-        partial(abs, Unreadable()),
-        oddly_faulty,
-        square(3),
-    ]
+    tasks = [Lock, partial(abs, Unreadable()), oddly_faulty, square(3)]
     with Processes(1) as pool:
         unsendable, unreadable, odd, nine = work_off(pool, tasks)
     assert isinstance(unsendable.exception(), TypeError)

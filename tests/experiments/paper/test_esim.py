@@ -8,13 +8,7 @@ import pytest
 
 from experiments.lab.results import csv_text, read_table
 from experiments.paper.comparison import load_published
-from experiments.paper.esim import (
-    esim_table,
-    esim_tables,
-    method_order,
-    ordered_runs,
-    pose_methods,
-)
+from experiments.paper.esim import esim_table, esim_tables, method_order, ordered_runs, pose_methods
 from ssac.pipeline.registry import METHODS
 from tests.experiments.reported import made_up_runs
 

@@ -10,15 +10,7 @@ import pytest
 
 from experiments.lab.cache import Cache
 from experiments.lab.results import Results, csv_text
-from experiments.report.report import (
-    SEED,
-    T_D_S,
-    headline,
-    make_animation,
-    read_results,
-    report_command,
-    report_page,
-)
+from experiments.report import report
 from experiments.studies import tables
 from experiments.studies.ablations import ABLATIONS
 from ssac.errors import SsacError
@@ -36,7 +28,7 @@ def flight(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def animation(flight):
-    return make_animation(flight)
+    return report.make_animation(flight)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +41,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(folder, animation):
-    return report_page(read_results(folder), animation)
+    return report.report_page(report.read_results(folder), animation)
 
 
 def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder, tmp_path):
@@ -86,7 +78,7 @@ def test_a_missing_or_damaged_file_names_its_command(name, command, is_damaged, 
     path = tmp_path / name
     path.write_bytes(b"\xff nonsense") if is_damaged else path.unlink()
     with pytest.raises(SsacError, match=rf"{name}.*: run `{command}`"):
-        read_results(tmp_path)
+        report.read_results(tmp_path)
 
 
 def test_what_files_say_cannot_become_html_and_is_shown_once(folder, animation, tmp_path):
@@ -98,7 +90,7 @@ def test_what_files_say_cannot_become_html_and_is_shown_once(folder, animation, 
     evil = {"command": EVIL, "config": {EVIL: EVIL}}
     for name, made in (("esim_10", entry), ("figures", evil)):
         (tmp_path / f"{name}.provenance.json").write_text(json.dumps(made))
-    page = report_page(read_results(tmp_path), animation)
+    page = report.report_page(report.read_results(tmp_path), animation)
     assert "".join(check_page(page).text).count(EVIL) >= 4
     assert "<b>esim_10, esim_20</b> <code>ssac tables</code>" in page
     assert "0123456789ab" in page
@@ -112,13 +104,13 @@ def test_the_headline_is_computed():
     compared = pd.DataFrame(
         {"quantity": "ssac_t_d_error_ms", "published_mean": [0.5, 0.25] * 2, "verdict": verdicts}
     )
-    found = headline(runs, compared)
+    found = report.headline(runs, compared)
     assert (found["best"], found["best_errors"]) == ("joint", [0.0625, 0.25, 0.125])
     assert found["ours"] == runs.loc[runs["method"] == "ssac", "t_d_error_ms"].mean()
     assert (found["published"], found["n_good"], found["n_cells"]) == (0.375, 3, 4)
     # One run in five is too few for a method to be called the best.
     runs.loc[joint & (runs["flight"] > 0), "status"] = "search_bound"
-    assert headline(runs, compared)["best"] not in ("joint", "")
+    assert report.headline(runs, compared)["best"] not in ("joint", "")
 
 
 def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
@@ -133,17 +125,17 @@ def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
     assert page.count('<img src="data:image/png;base64,') == n_figures
     assert page.count('width="60" height="30"') == n_figures
     out = tmp_path / "new" / "report.html"
-    report_command(folder, tmp_path / "cache", out)
+    report.report_command(folder, tmp_path / "cache", out)
     assert out.read_text(encoding="utf-8") == page  # the same input gives the same bytes
-    assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, SEED)]
+    assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, report.SEED)]
     with pytest.raises(SsacError, match="is a folder: name a file"):
-        report_command(folder, tmp_path / "cache", tmp_path)
+        report.report_command(folder, tmp_path / "cache", tmp_path)
 
 
 def test_the_player_shows_the_offset_that_was_put_in(animation):
     # The synthetic tracks have about 1 px of noise at 180 px/s: 6 ms in one pair, 1 ms in hundreds.
-    assert animation.estimate.t_d_s == pytest.approx(T_D_S, abs=1e-3)
-    off_s = abs(animation.estimate.t_d_s - T_D_S)
+    assert animation.estimate.t_d_s == pytest.approx(report.T_D_S, abs=1e-3)
+    off_s = abs(animation.estimate.t_d_s - report.T_D_S)
     assert animation.errors.t_d_error_ms == pytest.approx(1e3 * off_s)
     assert animation.errors.r_error_deg < 2.0  # of the same cause: 1 px is 0.3 deg here
     assert animation.before_px > 20.0
