@@ -15,6 +15,7 @@ import pytest
 
 from experiments import cli
 from sim.errors import SimError
+from tests.experiments.command import run
 
 
 def test_every_command_is_where_the_table_says_with_a_summary_of_one_line():
@@ -30,15 +31,12 @@ def test_every_command_is_where_the_table_says_with_a_summary_of_one_line():
     assert names[:3] == ["simulate", "sync", "demo"]
 
 
-def test_make_calls_commands_and_studies_that_there_are(monkeypatch, capsys):
+def test_make_calls_commands_and_studies_that_there_are():
     makefile = Path("Makefile").read_text()
     called = re.findall(r"\.venv/bin/ssac ([\w-]+)", makefile)
     assert called
     assert set(called) <= {entry.name for entry in cli.COMMANDS}
-    monkeypatch.setattr(sys, "argv", ["ssac", "study", "--list"])
-    with pytest.raises(SystemExit):
-        cli.main()
-    listed = {line.split()[0] for line in capsys.readouterr().out.splitlines()}
+    listed = {line.split()[0] for line in run("study", "--list").splitlines()}
     studied = re.findall(r"ssac study (.+)", makefile)
     assert studied
     assert {name for names in studied for name in names.split()} <= listed

@@ -4,7 +4,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -88,14 +88,17 @@ def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = 
     return [one for one in SQUARES.cells() if one.number <= last and (even or one.number % 2)]
 
 
-def runs_of(parts, tmp_path: Path, monkeypatch, *words: str) -> tuple[Any, Path]:
+def files_of(parts, tmp_path: Path, monkeypatch, *words: str) -> Path:
+    """Run a command made of some studies; where its files are."""
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     monkeypatch.setattr(study, "context_or_none", lambda: None)
     app = typer.Typer()
     app.command()(command_of(parts, "Squares."))
     out = tmp_path / "out"
     line = [*words, "--out", str(out), "--cache", str(tmp_path / "cache")]
-    return CliRunner().invoke(app, line, catch_exceptions=False), out
+    result = CliRunner().invoke(app, line, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return out
 
 
 OPTIONAL = replace(SQUARES, cells=up_to, command="ssac squares", numbers={}, checks=())
@@ -103,26 +106,23 @@ OPTIONAL = replace(SQUARES, cells=up_to, command="ssac squares", numbers={}, che
 
 def test_parameters_of_the_cells_are_options_and_stand_in_the_provenance(tmp_path, monkeypatch):
     words = ("--last", "4", "--no-even", "--workers", "1")
-    result, out = runs_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, *words)
-    assert result.exit_code == 0, result.output
+    out = files_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, *words)
     assert list(pd.read_csv(out / "squares_runs.csv")["number"]) == [3]
     content = json.loads((out / "squares_runs.provenance.json").read_text())
     assert content["command"] == "ssac squares --last 4 --no-even"
     assert content["config"]["options"] == {"last": 4, "even": False}
     with pytest.raises(SsacError, match="--last: expected 2 to 99, got 100"):
-        runs_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, "--last", "100")
+        files_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, "--last", "100")
 
 
 def test_parts_of_a_command_are_its_studies(tmp_path, monkeypatch):
     other = replace(SQUARES, name="others", runs=Runs("others.csv", ("number",)), makes=())
     parts = {"first": (OPTIONAL,), "second": (other,)}
-    result, out = runs_of(parts, tmp_path, monkeypatch, "second", "--workers", "1")
-    assert result.exit_code == 0, result.output
-    assert {path.name for path in out.iterdir()} == {
-        "others.csv", "others.provenance.json", "SHA256SUMS",
-    }  # fmt: skip
+    out = files_of(parts, tmp_path, monkeypatch, "second", "--workers", "1")
+    names = {path.name for path in out.iterdir()}
+    assert names == {"others.csv", "others.provenance.json", "SHA256SUMS"}
     with pytest.raises(SsacError, match="unknown part 'third': use one of first, second"):
-        runs_of(parts, tmp_path, monkeypatch, "third")
+        files_of(parts, tmp_path, monkeypatch, "third")
 
 
 def test_cells_that_are_measured_alone_have_processes_of_their_own_and_are_not_kept(
@@ -130,8 +130,7 @@ def test_cells_that_are_measured_alone_have_processes_of_their_own_and_are_not_k
 ):
     measure = Measure(load_nothing, process_row, SquareRow)
     alone = replace(OPTIONAL, measure=measure, how=How.ALONE, makes=())
-    result, out = runs_of({"all": (alone,)}, tmp_path, monkeypatch, "--last", "3")
-    assert result.exit_code == 0, result.output
+    out = files_of({"all": (alone,)}, tmp_path, monkeypatch, "--last", "3")
     runs = pd.read_csv(out / "squares_runs.csv")
     assert list(runs["status"]) == ["ok", "unusable"]
     assert runs["square"].iloc[0] != os.getpid()

@@ -13,10 +13,8 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 from experiments import commands
-from experiments.cli import app
 from experiments.lab import schedule
 from experiments.lab import study as module
 from experiments.lab.cache import Cache, claimed
@@ -27,6 +25,7 @@ from experiments.lab.schedule import MAX_DEATHS, Task, Workers, recordings_key, 
 from experiments.lab.study import Runs, check_runs, numbered, run_study
 from sim.recording import SimConfig
 from ssac.errors import SsacError, WriteError
+from tests.experiments.command import run as command
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 
 NUMBERS = range(4)
@@ -87,22 +86,15 @@ def run(cache: Path) -> Any:
     return run_study(STUDY, Cache(cache), Workers(1))
 
 
-def values(outcome: Any) -> list[float]:
-    """Values of all rows, in the order of the cells."""
-    return outcome.runs["square"].tolist()
-
-
-def study(*arguments: object) -> Any:
-    line = ["study", *map(str, arguments), "--workers", "1"]
-    return CliRunner().invoke(app, line, catch_exceptions=False)
+def study(*arguments: object) -> str:
+    return command("study", *arguments, "--workers", 1)
 
 
 # --- Files ---
 
 
 def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path):
-    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
-    assert result.exit_code == 0, result.output
+    study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     names = {path.name for path in tmp_path.iterdir() if path.is_file()}
     assert names == {*STUDY.files, *STUDY.provenances, SUMS_FILE}
     first, second, third, *_ = (tmp_path / "squares_runs.csv").read_text().splitlines()
@@ -124,30 +116,29 @@ def test_shards_are_a_partition_that_splits_no_recording(n_shards):
 
 def test_merged_shards_are_the_same_bytes(tmp_path):
     whole = tmp_path / "whole"
-    assert study("squares", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
+    study("squares", "--out", whole, "--cache", tmp_path / "cache")
     parts = []
     for index in (1, 2, 3):
         folder = tmp_path / f"part{index}"
-        done = study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
-        assert done.exit_code == 0
+        study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
         assert not (folder / "squares.csv").exists()
         parts.append(folder / "squares_runs.csv")
 
-    def merge(out: Path, *shards: Path) -> str:
-        result = CliRunner().invoke(app, ["merge", str(out), *map(str, shards)])
-        return str(result.exception or "")
-
     out = tmp_path / "merged" / "squares_runs.csv"
-    assert merge(out, *reversed(parts)) == ""
+    command("merge", out, *reversed(parts))
     for name in ("squares_runs.csv", "squares.csv", "squares.png"):
         assert (out.parent / name).read_bytes() == (whole / name).read_bytes(), name
     merged = json.loads((out.parent / "squares.provenance.json").read_text())
     assert [one["config"]["shard"] for one in merged["shards"]] == ["3/3", "2/3", "1/3"]
 
-    x = tmp_path / "x" / "squares_runs.csv"
-    assert "2 of 8 cells are in none of the shards" in merge(x, *parts[:2])
-    assert "cell 0 is in" in merge(x, parts[0], parts[0])
-    assert "are named squares_runs.csv" in merge(tmp_path / "x.csv", *parts)
+    def refused(said: str, *shards: Path, out: Path = tmp_path / "x" / "squares_runs.csv") -> None:
+        with pytest.raises(SsacError, match=said):
+            command("merge", out, *shards)
+        assert not out.exists()
+
+    refused("2 of 8 cells are in none of the shards", *parts[:2])
+    refused("cell 0 is in", parts[0], parts[0])
+    refused(r"are named squares_runs\.csv", *parts, out=tmp_path / "x.csv")
     content = json.loads(parts[1].with_suffix(".provenance.json").read_text())
     text = parts[1].read_text()
     for new, config, said in (
@@ -159,10 +150,9 @@ def test_merged_shards_are_the_same_bytes(tmp_path):
         parts[1].write_text(new)
         changed = content | {"config": content["config"] | config}
         parts[1].with_suffix(".provenance.json").write_text(json.dumps(changed))
-        assert said in merge(x, *parts)
+        refused(said, *parts)
     parts[1].with_suffix(".provenance.json").unlink()
-    assert "expected squares_runs.provenance.json beside it" in merge(x, *parts)
-    assert not x.exists()
+    refused(r"expected squares_runs\.provenance\.json beside it", *parts)
 
 
 def test_gaps_in_the_runs_are_found(tmp_path):
@@ -180,7 +170,7 @@ def test_gaps_in_the_runs_are_found(tmp_path):
 
 
 def test_the_command_refuses_before_the_work(tmp_path, monkeypatch):
-    assert study("--list").output.split() == ["squares", "Squares", "of", "numbers"]
+    assert study("--list").split() == ["squares", "Squares", "of", "numbers"]
     needy = replace(STUDY, reads=("runs.csv",))
     monkeypatch.setattr(commands, "all_studies", lambda: {"squares": needy})
     for words, said in (
@@ -209,7 +199,7 @@ def test_what_is_done_is_not_done_again_and_a_stopped_study_goes_on(tmp_path, ca
     LOADED.clear()
     first = run(tmp_path)
     assert LOADED == [2, 3]  # each once, for both powers
-    assert values(first) == VALUES
+    assert list(first.runs["square"]) == VALUES
     assert list(first.runs["status"]) == ["ok"] * 8
     LOADED.clear()
     pd.testing.assert_frame_equal(first.runs, run(tmp_path).runs)
@@ -252,7 +242,7 @@ def test_what_another_run_is_on_comes_last_and_is_not_done_twice(tmp_path, monke
         monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
         monkeypatch.setattr(schedule.time, "sleep", sleep)
         outcome = run(tmp_path)
-    assert values(outcome) == VALUES
+    assert list(outcome.runs["square"]) == VALUES
     assert sorted(LOADED) == [*NUMBERS]
     assert not list(tmp_path.rglob("*.claim"))
     assert "waiting for what another run is on: 1 recordings" in capsys.readouterr().err
@@ -264,7 +254,7 @@ def test_what_another_run_gives_up_is_done_here(tmp_path, monkeypatch):
         other.enter_context(claimed(claim))
         monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
         monkeypatch.setattr(schedule.time, "sleep", lambda _: other.close())
-        assert values(run(tmp_path)) == VALUES
+        assert list(run(tmp_path).runs["square"]) == VALUES
     assert LOADED == [1, 2, 3, 0]
 
 
@@ -292,8 +282,9 @@ def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     tmp_path, monkeypatch, capsys
 ):
     pool = Mortal({2: 100})
-    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
-    outcome = run(tmp_path)
+    with monkeypatch.context() as with_deaths:
+        with_deaths.setattr(schedule, "_pool", lambda *_: pool)
+        outcome = run(tmp_path)
     assert pool.given.count(2) == MAX_DEATHS == outcome.n_deaths
     crashed = outcome.runs["number"] == 2
     expected = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
@@ -302,17 +293,13 @@ def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     assert set(outcome.runs[~crashed]["status"]) == {"ok"}
     assert "given up" in capsys.readouterr().err
     # It is not kept: the next run tries it again, and nothing else.
-    monkeypatch.undo()
-    monkeypatch.setattr(schedule, "recording_key", lambda sim, seed: f"recording {seed}")
-    monkeypatch.setattr(schedule, "run_key", lambda *parts: str(abs(hash(parts))))
     LOADED.clear()
-    assert values(run(tmp_path)) == VALUES
+    assert list(run(tmp_path).runs["square"]) == VALUES
     assert LOADED == [2]
 
 
-def test_one_process_is_this_one_and_nothing_to_do_needs_none(tmp_path):
-    for workers, n in ((Workers(1), 5), (Workers(scheduler="tcp://127.0.0.1:9"), 0)):
-        assert type(schedule._pool(workers, n)) is Pool
+def test_nothing_to_do_needs_no_workers_and_one_task_has_a_process_of_its_own(tmp_path):
+    absent = Workers(scheduler="tcp://127.0.0.1:9")
+    assert len(run_cells([], Cache(tmp_path), absent, measure=MEASURE).runs) == 0
     # One task may take its worker down, but not this process with it.
     assert isinstance(schedule._pool(Workers(2), 1), Processes)
-    assert len(run_cells([], Cache(tmp_path), measure=MEASURE).runs) == 0

@@ -16,16 +16,14 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.lab import pool as pools
+from experiments.lab.code import ROOT
 from ssac.cli.exits import INTERRUPTED
 from ssac.errors import SsacError
+from tests.experiments.command import run
 
 pytestmark = pytest.mark.render
-
-ROOT = Path(__file__).resolve().parents[3]
 
 TOML = """
 flights = 3
@@ -65,8 +63,7 @@ def dying_once(cam1, cam2, rig, config=None):
 
 
 def sweep(config, out, cache, *more):
-    arguments = ["sweep", str(config), "--out", str(out), "--cache", str(cache), *more]
-    return CliRunner().invoke(app, arguments, catch_exceptions=False)
+    return run("sweep", config, "--out", out, "--cache", cache, *more)
 
 
 def without_runs(folder: Path, name: str) -> Path:
@@ -115,8 +112,7 @@ def config(folder):
 def whole(folder, config):
     """The sweep in one piece, by one process."""
     out = folder / "whole.csv"
-    result = sweep(config, out, folder / "cache", "--workers", "1")
-    assert result.exit_code == 0, result.output
+    sweep(config, out, folder / "cache", "--workers", "1")
     return out
 
 
@@ -133,29 +129,17 @@ def plugin(folder):
     return plugin
 
 
-def test_every_run_is_a_row_and_every_parameter_a_column(whole):
-    runs = pd.read_csv(whole)
-    assert list(runs["cell"]) == list(range(3 * 2 * 2))
-    assert (runs["sim.spline.duration_s"] == 3.0).all()
-    assert (runs["ssac.n_min"] == 20).all()
-    assert runs.groupby(["sim.t_d_s", "flight", "method"]).size().eq(1).all()
-    ended = set(zip(runs["method"], runs["status"], strict=True))
+def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder, config, whole):
+    ended = set(pd.read_csv(whole)[["method", "status"]].itertuples(index=False, name=None))
     assert ended == {("event_rate", "ok"), ("zncc_f", "skipped")}
     content = json.loads(whole.with_suffix(".provenance.json").read_text())
-    assert content["config"]["grid"]["flights"] == 3
     assert content["gl"]["backend"] in ("osmesa", "egl")
-    assert {"commit", "versions", "wall_time_s", "command"} <= set(content)
-
-
-def test_merged_shards_are_the_same_bytes(folder, config, whole):
     parts = []
     for index in (1, 2):
         parts.append(folder / f"part{index}.csv")
-        shard = ("--shard", f"{index}/2", "--workers", "1")
-        assert sweep(config, parts[-1], folder / "cache", *shard).exit_code == 0
+        sweep(config, parts[-1], folder / "cache", "--shard", f"{index}/2", "--workers", "1")
     out = folder / "merged.csv"
-    arguments = ["merge", str(out), *map(str, reversed(parts))]
-    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    run("merge", out, *reversed(parts))
     assert out.read_bytes() == whole.read_bytes()
     assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
 
@@ -191,7 +175,7 @@ def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, plugin,
     while not list(cache.glob("recordings/.*.claim")):  # it is at its first recording
         assert other.poll() is None
         time.sleep(0.01)
-    told = [sweep(config, outs[1], cache, "--workers", "1").output, other.communicate()[1]]
+    told = [sweep(config, outs[1], cache, "--workers", "1"), other.communicate()[1]]
     assert other.returncode == 0, told
     simulated = [int(re.search(r"(\d+) of them simulated", said)[1]) for said in told]
     assert sum(simulated) == 3, told

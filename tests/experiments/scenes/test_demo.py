@@ -72,13 +72,9 @@ FLOWN = SimConfig(
 )
 
 
-@pytest.fixture(scope="module")
-def recording():
-    return simulate(FLOWN, 0)
-
-
 @pytest.mark.render
-def test_figures_are_those_of_the_truth(recording):
+def test_figures_are_those_of_the_truth():
+    recording = simulate(FLOWN, 0)
     figures = scene_figures(recording)
     # What the truth says of the drone's origin: the mean of its events moves with it, but for the
     # windows that N_min drops, which are the slow ones.

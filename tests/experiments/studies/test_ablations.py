@@ -6,9 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import t as student
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.lab import study as lab
 from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
@@ -16,6 +14,7 @@ from experiments.studies.ablations import ablation_table, points_figure, points_
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError
 from ssac.methods.tangency import TangencyConfig
+from tests.experiments.command import run
 
 VARIED = ["sim.angle_deg"]
 TOML = """
@@ -95,11 +94,10 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(tmp_path, monkeypatch, comma
     config.write_text(TOML)
     monkeypatch.setattr(lab, "run_cells", lambda *_, **__: Outcome(runs(), 8, 8, 1.0))
     monkeypatch.setattr(lab, "context_or_none", lambda: None)
-    line = [command, str(config), "--out", str(out / "rows.csv" if command == "sweep" else out)]
-    result = CliRunner().invoke(app, [*line, "--cache", str(tmp_path)], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    place = out / "rows.csv" if command == "sweep" else out
+    said = run(command, config, "--out", place, "--cache", tmp_path)
     assert {path.name for path in out.iterdir()} == names
-    assert "t_d_error_ms ± median" in result.output  # the table is shown, too
+    assert "t_d_error_ms ± median" in said  # the table is shown, too
 
 
 def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:
@@ -107,9 +105,9 @@ def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:
     config.write_text(TOML.replace("sim.angle_deg", "sim.angel_deg"))
     for command in ("ablate", "sweep"):
         with pytest.raises(SsacError, match=r"my\.toml: unknown parameter 'sim\.angel_deg'"):
-            CliRunner().invoke(app, [command, str(config)], catch_exceptions=False)
+            run(command, config)
     with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
-        CliRunner().invoke(app, ["ablate", "windows"], catch_exceptions=False)
+        run("ablate", "windows")
 
 
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:

@@ -5,24 +5,19 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.studies import by_hand
 from experiments.studies.by_hand import SETTINGS, HandRow
 from experiments.worlds import odd
 from experiments.worlds.odd import KINDS, drawn
 from ssac.errors import SsacError
+from tests.experiments.command import run
 from tests.experiments.reported import flown
 
 RIGHT = HandRow("ok", "", True, True, t_d_error_ms=0.2, t_d_normalised=2.0, r_error_deg=0.5,
                 r_mahalanobis=2.7, t_error_deg=0.5, t_mahalanobis=2.4, cpu_s=1.0)  # fmt: skip
 POSELESS = HandRow("degenerate_pose", "", True, t_d_error_ms=0.2, t_d_normalised=-1.0, cpu_s=1.0)
 REFUSED = HandRow("no_match", "two paths", cpu_s=1.0)
-
-
-def frame(*rows: HandRow) -> pd.DataFrame:
-    return pd.DataFrame([vars(row) for row in rows])
 
 
 def test_a_recording_follows_from_its_number_alone() -> None:
@@ -60,35 +55,29 @@ def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
         replace(RIGHT, t_mahalanobis=4.6, t_error_deg=3.1),
         REFUSED,
     ]
-    rows = frame(RIGHT, POSELESS, replace(RIGHT, r_mahalanobis=9.0), *wrong)
+    not_wrong = [RIGHT, POSELESS, replace(RIGHT, r_mahalanobis=9.0)]
+    rows = pd.DataFrame([vars(row) for row in (*not_wrong, *wrong)])
     assert by_hand.right(rows).tolist() == 3 * [True] + 4 * [False]
     assert by_hand.beyond(rows)["R"].tolist() == [False, False, True] + 4 * [False]
     assert by_hand.beyond(rows)["t_d"].tolist() == 3 * [False] + [True] + 3 * [False]
     assert by_hand.beyond(rows)["t"].tolist() == 5 * [False] + [True, False]
 
 
-def runs_of(*tried: tuple[HandRow, HandRow]) -> pd.DataFrame:
-    """Rows of the default and of one setting, on recordings of kinds in turns."""
-    cells = [drawn(1, number) for number in range(len(tried))]
-    rows = [
-        {**cell.columns, "setting": setting, **vars(row)}
-        for cell, pair in zip(cells, tried, strict=True)
+def test_the_table_says_what_became_of_each_recording() -> None:
+    tried = [  # by default and with one setting, on recordings of kinds in turns
+        (RIGHT, HandRow(by_hand.SPARED)),
+        (replace(RIGHT, t_d_error_ms=20.0, t_d_normalised=7.0), RIGHT),
+        (REFUSED, RIGHT),
+        (POSELESS, RIGHT),
+        (POSELESS, REFUSED),
+        (REFUSED, replace(RIGHT, t_d_error_ms=20.0)),
+    ]
+    runs = [
+        {**drawn(1, number).columns, "setting": setting, **vars(row)}
+        for number, pair in enumerate(tried)
         for setting, row in zip((by_hand.UNASKED, "--search-all"), pair, strict=True)
     ]
-    return pd.DataFrame(rows)
-
-
-def test_the_table_says_what_became_of_each_recording() -> None:
-    table = by_hand.hand_table(
-        runs_of(
-            (RIGHT, HandRow(by_hand.SPARED)),
-            (replace(RIGHT, t_d_error_ms=20.0, t_d_normalised=7.0), RIGHT),
-            (REFUSED, RIGHT),
-            (POSELESS, RIGHT),
-            (POSELESS, REFUSED),
-            (REFUSED, replace(RIGHT, t_d_error_ms=20.0)),
-        )
-    ).set_index("kind")
+    table = by_hand.hand_table(pd.DataFrame(runs)).set_index("kind")
     row = table.loc["all"]
     assert (row["recordings"], row["answered"], row["posed"]) == (6, 4, 2)
     assert (row["right"], row["wrong"], row["settled"]) == (2, 1, 2)
@@ -113,12 +102,11 @@ def test_the_command_tries_settings_where_the_default_is_not_right(
     monkeypatch.setattr(odd, "recorded_pair", lambda *_: flown())
     some = {name: SETTINGS[name] for name in (by_hand.UNASKED, "--search-all", "--method joint")}
     monkeypatch.setattr(by_hand, "SETTINGS", some)
-    line = ["by-hand", "--base", "1", "--first", "17", "--recordings", "1", "--workers", "1"]
+    of_one = ("--base", 1, "--first", 17, "--recordings", 1, "--workers", 1)
 
     def tried(*options: str) -> pd.DataFrame:
-        folders = ["--out", str(tmp_path), "--cache", str(tmp_path / "cache")]
-        result = CliRunner().invoke(app, [*line, *folders, *options], catch_exceptions=False)
-        assert result.exit_code == 0, result.output
+        folders = ("--out", tmp_path, "--cache", tmp_path / "cache")
+        run("by-hand", *of_one, *folders, *options)
         return pd.read_csv(tmp_path / "by_hand_runs.csv").set_index("setting")
 
     default, *others = tried("--far", "0").to_dict("records")

@@ -31,22 +31,17 @@ def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
     assert recording_key(four, 0) != recording_key(two, 0)
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> network.Flown:
-    """A flight of which there are true tracks, which take no rendering."""
-    folder = tmp_path_factory.mktemp("four")
+def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None:
+    """They take no rendering."""
     config = network.FourCameras()
     scene = config.scene(5)
-    (folder / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))
+    (tmp_path / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))
     times_s = np.arange(0.0, config.spline.duration_s, 0.005)
     poses = scene.trajectory.poses(times_s)
     truth = truth_of(times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]))
     centres_px = tuple(camera.project(poses[:, :3, 3]) for camera in scene.rig.cameras)
     poses_k_1 = tuple(scene.rig.relative_pose(0, k) for k in range(network.N_CAMERAS))
-    return network.Flown(folder, replace(truth, centres_px=centres_px, poses=poses_k_1))
-
-
-def test_true_tracks_are_solved_and_errors_are_as_stated(flown: network.Flown) -> None:
+    flown = network.Flown(tmp_path, replace(truth, centres_px=centres_px, poses=poses_k_1))
     cells = [cell for cell in network.cells(1) if cell.kind == network.TRUE_TRACKS]
     first, *others = (network.camera_row(cell, flown) for cell in cells)
     assert len(flown.found) == 1  # cells of a kind share one solution

@@ -5,9 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.lab.recorded import FlightTruth
 from experiments.lab.results import Results
 from experiments.studies import outdoor
@@ -16,6 +14,7 @@ from experiments.worlds import outdoor as world
 from sim.scene.rig import Rig, two_view_rig
 from sim.scene.trajectory import random_spline
 from ssac.clock import Clock
+from tests.experiments.command import run
 
 (STUDY,) = outdoor.STUDIES
 
@@ -35,9 +34,8 @@ def test_what_is_true_is_found_within_its_deviations(tmp_path, truth, monkeypatc
 
 @pytest.mark.render
 def test_a_short_flight_gives_both_tables(tmp_path: Path) -> None:
-    args = ["outdoor", "--flights", "1", "--duration", "10", "--cache", str(tmp_path / "cache")]
-    result = CliRunner().invoke(app, [*args, "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
+    folders = ("--out", tmp_path, "--cache", tmp_path / "cache")
+    run("outdoor", "--flights", 1, "--duration", 10, *folders)
     recordings = (tmp_path / "cache" / "recordings").iterdir()
     assert sum(path.is_dir() for path in recordings) == 2  # one has the third camera
     runs, means = (Results(tmp_path).table(name) for name in ("outdoor", "outdoor_oracle"))

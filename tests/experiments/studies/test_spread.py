@@ -3,13 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.studies import spread
 from experiments.studies.spread import HALF_WINDOWS_S, N_MINS, SHOWN, spread_figure, spread_table
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
+from tests.experiments.command import run
 from tests.experiments.reported import record_flight
 
 
@@ -60,11 +59,9 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     monkeypatch.setattr(spread, "HALF_WINDOWS_S", HALF_WINDOWS_S[1:3])  # to be done sooner
     monkeypatch.setattr(spread, "N_MINS", N_MINS[1:2])
     record_flight(tmp_path / "mine", 4.0)
-    files = [str(tmp_path / "mine" / name) for name in ("cam1.h5", "cam2.h5", "rig.yaml")]
-    line = ["study", "spread", *files, "--out", str(tmp_path / "out"), "--workers", "1"]
-    line += ["--cache", str(tmp_path / "cache")]
-    result = CliRunner().invoke(app, line, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    files = [tmp_path / "mine" / name for name in ("cam1.h5", "cam2.h5", "rig.yaml")]
+    folders = ("--out", tmp_path / "out", "--cache", tmp_path / "cache")
+    run("study", "spread", *files, *folders, "--workers", 1)
     (study,) = spread.STUDIES
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {*study.files, *study.provenances}
@@ -80,4 +77,4 @@ def test_other_files_than_it_needs_are_one_line():
     for given, fault in (("a b", "expected CAM1 CAM2 RIG behind it, got 'a b'"),
                          ("a b c", "a: no such file")):  # fmt: skip
         with pytest.raises(SsacError, match=fault):
-            CliRunner().invoke(app, ["study", "spread", *given.split()], catch_exceptions=False)
+            run("study", "spread", *given.split())
