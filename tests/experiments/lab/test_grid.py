@@ -1,14 +1,11 @@
 """Grids: what a TOML may hold, and the cells that it stands for."""
 
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from experiments.cli import app
 from experiments.lab.cache import Cache, content
 from experiments.lab.grid import (
     config_names,
@@ -20,15 +17,13 @@ from experiments.lab.grid import (
 )
 from experiments.lab.schedule import Workers, run_cells
 from sim.recording import SimConfig
-from sim.sensor.events import PRESETS
-from sim.sensor.frames import FrameConfig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.files.hdf5 import load_events_h5
 from ssac.pipeline.registry import METHODS
 from ssac.track.observation import Observation
+from tests.experiments.command import run
 
-TABLES = ("esim_10", "esim_20")
 SMALL = {
     "flights": 2,
     "methods": ["ssac", "zncc_e"],
@@ -39,7 +34,7 @@ SMALL = {
 
 
 def test_the_tables_are_the_papers_grid():
-    cells = [cell for name in TABLES for cell in named_config(name).cells()]
+    cells = [cell for name in ("esim_10", "esim_20") for cell in named_config(name).cells()]
     at = product((10.0, 20.0), (30.0, 60.0, 90.0, 120.0, 150.0), (0.005, 0.05, 0.5), range(30))
     assert sorted(
         (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.t_d_s, cell.flight, cell.method)
@@ -67,9 +62,6 @@ def test_no_two_flights_that_are_called_independent_are_one():
     }
     assert len(flights) >= 2 * 5 * 30 + 5 * 20  # tables, coverage
     assert len(set(flights.values())) == len(flights)
-    tables = {cell.seed for name in TABLES for cell in named_config(name).cells()}
-    assert len(tables) == 300
-    assert not tables & {cell.seed for cell in named_config("coverage").cells()}
 
 
 def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
@@ -109,8 +101,7 @@ def test_a_row_is_of_the_recording_that_ssac_simulate_makes_of_its_columns(tmp_p
     row = run_cells([cell], cache, Workers(1), show_progress=False).runs.iloc[0]
     at, lasts, late = row["sim.angle_deg"], row["sim.spline.duration_s"], row["sim.t_d_s"]
     options = ("--angle", at, "--duration", lasts, "--t-d", late, "--seed", row["seed"])
-    arguments = ["simulate", *map(str, (out, *options))]
-    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    run("simulate", out, *options)
     kept = cache.recording_folder(cell.sim, cell.seed)
     for name, t_d_s in (("cam1.h5", 0.0), ("cam2.h5", late)):
         simulated, cached = (
@@ -127,20 +118,6 @@ def test_a_file_of_the_project_is_found_from_any_folder(tmp_path, monkeypatch):
     assert {file.stem for file in files} == {"clouds", "houses", "leaves"}
     assert all(file.is_file() for file in files)
     assert len({content(file) for file in files}) == 3  # what a recording is kept by
-
-
-def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
-    def recordings(*names):
-        return {(cell.sim, cell.seed) for name in names for cell in named_config(name).cells()}
-
-    of_tables = recordings(*TABLES)
-    for name in ("window", "n_min", "samples", "angle"):
-        assert recordings(f"ablation_{name}") <= of_tables
-    flights = named_config("ablation_davis346").flights
-    noisy = {"frames": FrameConfig(rate_hz=0.0), "sensor": PRESETS["davis346"]}
-    cells = [cell for name in TABLES for cell in named_config(name).cells()]
-    ideal = {(replace(one.sim, **noisy), one.seed) for one in cells if one.flight < flights}
-    assert recordings("ablation_davis346") == ideal
 
 
 def test_parameters_reach_the_field_that_they_name():

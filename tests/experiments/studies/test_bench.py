@@ -14,8 +14,7 @@ from experiments.lab.results import Results, csv_text, png_bytes
 from experiments.lab.schedule import Task, Workers, run_cells, run_task
 from experiments.machine import growth, parts
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
-from experiments.machine.parts import PART, Measurement, PartCell, measured_cells
-from experiments.paper.esim import n_recordings, table_cells
+from experiments.machine.parts import PART, Measurement, PartCell
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
@@ -82,15 +81,6 @@ def test_renderers_and_methods_are_timed(monkeypatch: pytest.MonkeyPatch) -> Non
     ]
     assert [np.isfinite(row.mark) for row in rows] == [False, True, True, False]
     assert all(row.value > 0.0 for row in rows)
-
-
-def test_the_measured_recordings_are_some_of_the_tables() -> None:
-    cells = measured_cells()
-    recordings = {(cell.sim, cell.seed) for cell in cells}
-    assert recordings < {(cell.sim, cell.seed) for cell in table_cells()}
-    durations_s = [sim.spline.duration_s for sim, _ in recordings]
-    assert durations_s.count(10.0) == durations_s.count(20.0) == 4
-    assert len(recordings) < n_recordings()
 
 
 def test_a_short_run_leaves_the_largest_points_out() -> None:

@@ -4,13 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab.grid import named_config
 from experiments.lab.results import csv_text, read_checksums
 from experiments.studies import figures
 from ssac.errors import SsacError
-from tests.experiments.reported import made_up_runs
-
-RESULTS = Path(__file__).resolve().parents[3] / "results"
+from tests.experiments.reported import RESULTS, made_up_runs
 
 
 def test_all_figures_are_drawn_when_none_is_named() -> None:
@@ -31,14 +28,6 @@ def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
     path = RESULTS / "alignment.png"
     assert b"acTL" in path.read_bytes()[:1000]  # an animated PNG's chunk
     assert path.stat().st_size < 2e6
-
-
-def test_flights_are_of_tables() -> None:
-    plain, noisy = figures.FLIGHT, figures.NOISY_FLIGHT
-    for name, flight in (("esim_20", (plain, figures.SEED)),
-                         ("ablation_davis346", (noisy, figures.NOISY_SEED))):  # fmt: skip
-        assert any((cell.sim, cell.seed) == flight for cell in named_config(name).cells())
-    assert noisy.sensor.shot_noise_hz > plain.sensor.shot_noise_hz == 0.0
 
 
 def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, capsys) -> None:

@@ -1,18 +1,26 @@
 """All studies: their names, keys and flights. `make verify` holds committed files to their rows."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from experiments.lab.grid import config_names, flight_seed, named_config
+from experiments.lab.cell import Flight
+from experiments.lab.grid import Cell, config_names, flight_seed, named_config
 from experiments.lab.provenance import write_provenance
 from experiments.lab.study import How
 from experiments.lab.verify import cells_of
-from experiments.studies import all_studies
+from experiments.machine.parts import measured_cells
+from experiments.paper.esim import table_cells
+from experiments.studies import all_studies, figures, physical
 from experiments.studies.ablations import ABLATIONS
+from experiments.studies.fidelity import renderer_cells
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
 
 STUDIES = all_studies()
 
@@ -59,8 +67,7 @@ def test_the_provenance_of_every_file_can_be_written(name: str, tmp_path: Path) 
 
 def test_flights_of_studies_are_their_own() -> None:
     seeds: dict[str, set[int]] = defaultdict(set)
-    for table in ("esim_10", "esim_20"):
-        seeds["tables"] |= {cell.seed for cell in named_config(table).cells()}
+    seeds["tables"] = {cell.seed for cell in table_cells()}
     for name in OWN_FLIGHTS:
         cells = cells_of(STUDIES[name])
         seeds[name] = {cell.columns["seed"] for cell in cells}
@@ -68,3 +75,43 @@ def test_flights_of_studies_are_their_own() -> None:
         assert not seeds[name] & others, name
     for (name, mine), (other, theirs) in combinations(seeds.items(), 2):
         assert not mine & theirs, (name, other)
+
+
+def flights(cells: Iterable[Cell]) -> set[Flight]:
+    """Recordings of cells, which do not depend on the offset."""
+    return {(replace(cell.sim, t_d_s=0.0), cell.seed) for cell in cells}
+
+
+def test_what_stands_beside_the_tables_is_of_their_flights() -> None:
+    of_tables, measured = flights(table_cells()), flights(measured_cells())
+    plain = {(figures.FLIGHT, figures.SEED)}
+    of_estimator = ("window", "n_min", "samples", "angle")
+    ablations = [flights(named_config(f"ablation_{name}").cells()) for name in of_estimator]
+    for some in (measured, plain, flights(renderer_cells()), *ablations):
+        assert some <= of_tables
+    assert Counter(sim.spline.duration_s for sim, _ in measured) == {10.0: 4, 20.0: 4}
+    grid = named_config("ablation_davis346")
+    noisy = {"frames": FrameConfig(rate_hz=0.0), "sensor": PRESETS["davis346"]}
+    few = [replace(cell, sim=replace(cell.sim, **noisy)) for cell in table_cells()
+           if cell.flight < grid.flights]  # fmt: skip
+    assert flights(grid.cells()) == flights(few)
+    assert (figures.NOISY_FLIGHT, figures.NOISY_SEED) in flights(few)
+
+
+def test_tables_of_the_bench_share_recordings_and_a_trial_run_says_that_it_has_fewer() -> None:
+    cells = physical.cells(10.0)
+    assert len({cell.recordings for cell in cells}) == len({cell.seed for cell in cells}) == 4 * 10
+    assert len({cell.sim.setup_seed for cell in cells}) == 4
+    for study in physical.STUDIES:
+        cells = study.cells(recordings=1)
+        per_place = {(cell.sim.angle_deg, cell.seed) for cell in cells}
+        assert len(per_place) == len({cell.sim.angle_deg for cell in cells})
+        assert study.command_line({"recordings": None}) == "ssac physical"
+        assert study.command_line({"recordings": 1}) == "ssac physical --recordings 1"
+
+
+def test_a_ratio_and_its_inverse_are_the_same_cameras_with_their_lights_swapped() -> None:
+    effects = [cell.sim.effects for cell in physical.light_cells(1)]
+    lights = {(one.illuminance_lux, one.illuminance_lux * one.camera2_light) for one in effects}
+    rounded = {(round(first, 6), round(second, 6)) for first, second in lights}
+    assert {(second, first) for first, second in rounded} == rounded
