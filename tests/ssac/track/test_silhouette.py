@@ -108,6 +108,14 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg
     assert told == pytest.approx([spread[0, 0], spread[0, 1], spread[1, 1]], abs=0.08 * scale)
 
 
+def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
+    events, times_s, centres, spread = recorded(corner, 37.0, object_luminance=0.95)
+    found = found_of(events, times_s, centres, spread)
+    assert found is not None
+    # Contrast is that of three and a half thresholds, so that levels are coarser.
+    assert np.abs((found.centres_px - centres)[found.known].mean(axis=0)).max() < 0.3
+
+
 @pytest.mark.parametrize("luminance", [DARK, 0.95])
 def test_what_a_large_object_covers_at_first_is_told_by_what_comes_later(luminance) -> None:
     # It moves by 60 px, and the box is of over 30 on each side: most pixels never leave it.
