@@ -40,7 +40,7 @@ class Camera:
     """Deviations of fu, fv, pu, pv [px], 0: exact; left out, those of a good calibration."""
     readout_s: float | None = None  # rolling shutter: first row to last [s]; None: not known, as 0
     readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
-    centre_was_exchanged: bool = False  # and is not what the rig says: see `with_usual_centres`
+    centre_was_exchanged: bool = False  # the rig says (pv, pu): see `with_usual_centres`
 
     def __post_init__(self) -> None:
         K = _floats(self.K)  # of nonsense NaN: `check_camera` says what is wrong

@@ -550,8 +550,8 @@ class TangencyRules:
     joins_body: bool = True  # of a rigid body that both views' silhouettes tell
     body_error: float = 0.6  # of its one point, in errors of tangents
     # Deviations of errors of its point that no residual shows, in image sizes: anywhere, and per
-    # unit of x / z and y / z; and of how far one view's images are ahead of the other's. By 294
-    # flights of the tables, so that 95 % intervals hold in 97.6 (t_d) and 96.9 % (R).
+    # unit of x / z and y / z; and of how far one view's images are ahead of the other's. By the
+    # tables' flights, so that 95 % intervals of t_d, R and t hold in 96 to 98 %.
     body_offset: float = 0.0035
     body_slope: float = 0.006
     body_lag_px: float = 0.01

@@ -116,7 +116,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
 def _objects_row(answer: Answer) -> list[tuple[str, str]]:
     """Say what was seen beside the object; nothing where that was one thing at a time."""
     objects = [seen.used for seen in answer.cleans]
-    if not answer.looks_at_one_object or all(used.seen == 1 for used in objects):
+    if not (answer.looks_at_one_object and answer.sees_several):
         return []
     parts = [
         f"camera {number} sees {used.seen}"
