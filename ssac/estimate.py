@@ -125,6 +125,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "one object": "no_motion too_few_samples too_little_motion no_convergence no_match "
         "poor_fit ambiguous_offset",
         "few events": "no_motion too_few_samples too_little_motion",
+        "longer": "several_objects poor_fit ambiguous_offset degenerate_pose",
         "noise": "several_objects clock_jump no_match poor_fit ambiguous_offset degenerate_pose",
         "lost": "no_motion too_few_samples",
         "thin": "too_little_motion no_match ambiguous_offset",

@@ -4,7 +4,7 @@ A user should not need a setting that the default could have found out. Of each 
 drawn from its number, the default is judged; where it is not right, eight settings are tried that
 a user would try.
 
-    ssac by-hand --first 1602 --recordings 180           # what is committed; kinds take turns
+    ssac by-hand --first 1782 --recordings 180           # what is committed; kinds take turns
     ssac by-hand --base 1 --recordings 72 --out out    # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 """
@@ -40,7 +40,7 @@ from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
-BASE, FIRST, N_RECORDINGS, N_COMMITTED = 300, 1602, 600, 180
+BASE, FIRST, N_RECORDINGS, N_COMMITTED = 300, 1782, 600, 180
 """No choice was made on these; on those before, and bases 1 to 5, 100, 101 and 200, some were."""
 
 UNASKED = "default"

@@ -225,8 +225,8 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
         assert "0.25 Hz of each pixel hides it" in result.estimate.reason
 
 
-def other_ways(found, seen, asked=PLAIN):
-    answer = Answer(found, METHODS["joint"], seen, Rig(CAMERA, CAMERA), asked)
+def other_ways(found, seen, asked=PLAIN, method="joint"):
+    answer = Answer(found, METHODS[method], seen, Rig(CAMERA, CAMERA), asked)
     return [way for ways in WAYS for way in ways(asked, seen, answer)]
 
 
@@ -258,6 +258,16 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     if status == Status.AMBIGUOUS_OFFSET:  # a valley without an end is not told by more of it
         alone = other_ways(replace(found, alternatives_s=np.empty(0)), seen)
         assert not any(way.n_min for way in alone)
+
+
+@pytest.mark.parametrize("status", ["ambiguous_offset", "degenerate_pose", "poor_fit"])
+def test_outlines_are_seen_over_longer_windows_too_and_means_are_not(events, status):
+    """Where offsets tie, means may be led to a wrong one, as `joint` was on circles and helices."""
+    seen = tuple(denoised(one) for one in events)
+    for method, is_tried in (("tangency", True), ("joint", False)):
+        found = Estimate(method, Status(status), "why", t_d_std_s=1e-4)  # else it is vague, too
+        ways = other_ways(found, seen, method=method)
+        assert any(way.half_window_s == 0.04 for way in ways) is is_tried
 
 
 def test_of_several_things_that_are_lost_each_less_is_filtered_and_they_are_looked_at_closer(
