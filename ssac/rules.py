@@ -452,6 +452,8 @@ class HypothesesRules:
     flat: float = 0.2  # median distance from a homography, over the rms size, of a path in a plane
     homography_pairs: int = 80  # enough to tell whether the path lies in a plane
     start_step_s: float = 0.1  # between starts within a long valley
+    # Valley in which means of events tell an offset: helices have .4 to 1 s, slow flights .14.
+    longest_of_means_s: float = 0.3
     max_offsets: int = 12  # in question
     max_poses: int = 2  # of an offset, where several are in question
     probes_s: tuple[float, float, float, float] = (-0.2, -0.06, 0.06, 0.2)  # where F is open
