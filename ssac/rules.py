@@ -612,7 +612,7 @@ class RetryRules:
     roughnesses_ppm: tuple[float, float] = (2000.0, 6000.0)
     any_rate: tuple[float, float] = (0.5, 2.0)  # of a track, by the other camera's
     fast_rates: tuple[float, float] = (0.9967, 1.0033)  # of events: up to 3000 ppm and a tenth
-    longer_s: float = 0.04  # half of a window, of an object that gives few events, or is large
+    longer_s: float = 0.04  # half of a window, of few events, or where outlines may tell more
     # Deviation of an offset beside an open pose, from which on longer windows or a fast clock may
     # tell both: by large objects of `ssac by-hand`, bases 100 and 200.
     vague_s: float = 0.003
