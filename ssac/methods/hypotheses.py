@@ -129,9 +129,9 @@ class Choice:
         was up to 14 of its deviations off. The start is of the search.
         """
         views, rules = self.views, self.views.rules
-        is_clear = start.status == Status.OK
         of_means = any(isinstance(one, ObjectMotion) for one in views.motions)
-        is_searched = start.status == Status.AMBIGUOUS_OFFSET or (is_clear and of_means)
+        is_clear = start.status == Status.OK and of_means
+        is_searched = is_clear or start.status == Status.AMBIGUOUS_OFFSET
         if views.pose_is_known or not (is_searched and estimate.has_offset):
             return estimate
         found = valleys(start.candidates_s, start.costs, estimate.t_d_s, rules.search)
@@ -139,9 +139,8 @@ class Choice:
             refusal = ambiguous_offset(found[:1], rules.hypotheses.longest_of_means_s)
             return estimate if refusal is None else refused(estimate, refusal)
         at = views.under(estimate.clock).pairs_at(estimate.t_d_s)
-        is_open = open_fundamental(*at.points_px, views.rules.search) is not None
-        length_s = found[0].last_s - found[0].first_s
-        if not is_open and length_s <= views.config.max_valley_s:
+        is_open = open_fundamental(*at.points_px, rules.search) is not None
+        if not is_open and found[0].length_s <= views.config.max_valley_s:
             return estimate
         kept = refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, start.reason))
         return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)

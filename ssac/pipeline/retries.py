@@ -152,7 +152,7 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
     is_several = found.status == Status.SEVERAL_OBJECTS or answer.sees_several
     is_thin = found.status in SETTLED_BY["few events"]
     # Where the motion repeats itself, outlines tell offsets apart; means may be led to a wrong one.
-    is_for_outlines = bool(answer.method.keeps_start) and found.status in SETTLED_BY["longer"]
+    is_for_outlines = answer.method.needs_events and found.status in SETTLED_BY["longer"]
     if is_thin or is_for_outlines or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
     is_hidden = (is_noisy or is_several) and found.status in SETTLED_BY["noise"]

@@ -185,6 +185,11 @@ class Valley:
     last_s: float
     least_s: float  # where the cost is least
 
+    @property
+    def length_s(self) -> float:
+        """From the first to the last."""
+        return self.last_s - self.first_s
+
 
 def unusable(
     views: TwoViews, cleans: tuple[Clean, Clean], interval_s: Interval | None
@@ -321,8 +326,8 @@ def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
     )
     if alternatives_s:
         reason = other_offsets(alternatives_s)
-    is_long = first.last_s - first.first_s > longest_s
-    return Refusal(Status.AMBIGUOUS_OFFSET, reason) if alternatives_s or is_long else None
+    is_open = alternatives_s or first.length_s > longest_s
+    return Refusal(Status.AMBIGUOUS_OFFSET, reason) if is_open else None
 
 
 def other_offsets(alternatives_s: list[float]) -> str:
