@@ -7,7 +7,7 @@ chi^2's quantile. The flights are those of configs/coverage.toml.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from experiments.lab.scored import SCORED
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, listed, made_of, markdown_table, quoted
 from experiments.lab.verify import scored_checks
-from experiments.paper.esim import method_order
+from experiments.paper.esim import ERRORS, method_order
 from ssac.arrays import Array
 from ssac.fit.covariance import NORMAL_95
 
@@ -171,6 +171,14 @@ def below_the_mark(results: Results) -> str:
     return listed(found) if found else "nowhere"
 
 
+def cell_errors(results: Results, of: str) -> str:
+    """Give the "max" or "mean" over durations and angles of the mean errors of `tangency`."""
+    runs = answered(results.rows("coverage_runs", method="tangency"))
+    errors = {error.column: error.unit for error in ERRORS.values()}
+    found = runs.groupby([*GRID.varied])[[*errors]].mean().agg(of)
+    return ", ".join(f"{found[column]:.3f} {unit}" for column, unit in errors.items())
+
+
 STUDIES = (
     Study(
         "coverage", GRID.title, GRID.cells, SCORED,
@@ -179,7 +187,9 @@ STUDIES = (
          made_of("coverage.png", coverage_figure, "coverage_runs")),
         numbers={"coverage.flights": quoted("coverage", "{n_runs:.0f}", method="joint",
                                             quantity="t_d", angle_deg="all"),
-                 "coverage.below": below_the_mark, "table.coverage": page_table},
+                 "coverage.below": below_the_mark, "table.coverage": page_table,
+                 "coverage.largest": partial(cell_errors, of="max"),
+                 "coverage.mean": partial(cell_errors, of="mean")},
         checks=scored_checks("coverage_runs"), config=GRID.content,
     ),
 )  # fmt: skip
