@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sim.arrays import Float32Array, FloatArray
 from sim.effects.pixels import CLUSTER_PX
@@ -69,15 +69,16 @@ class View:
     duration_s: float
 
     def events(
-        self, times_s: FloatArray, x_px: FloatArray, y_px: FloatArray, brighter: NDArray[np.bool_]
+        self, times_s: FloatArray, x_px: ArrayLike, y_px: ArrayLike, brighter: ArrayLike
     ) -> NDArray[Any]:
-        """Make events of times and places (n,), without those that are outside of either."""
-        t_us = np.floor(1e6 * times_s)
-        x, y = np.rint(x_px), np.rint(y_px)
+        """Make events of times and places, of one shape, without those outside of either."""
+        t_us, x, y, p = np.broadcast_arrays(
+            np.floor(1e6 * times_s), np.rint(x_px), np.rint(y_px), brighter
+        )
         inside = (t_us >= 0) & (t_us < 1e6 * self.duration_s)
         inside &= (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
         events = np.empty(int(inside.sum()), EVENT_DTYPE)
-        for name, values in (("t", t_us), ("x", x), ("y", y), ("p", brighter)):
+        for name, values in (("t", t_us), ("x", x), ("y", y), ("p", p)):
             events[name] = values[inside]
         return events
 
@@ -91,24 +92,21 @@ def lamp(view: View, size_px: int, rng: np.random.Generator) -> NDArray[Any]:
     shape = (size_px, size_px, len(starts_s), len(steps_s))
     times_s = starts_s[:, None] + steps_s + LAMP_JITTER_S * rng.standard_normal(shape)
     rows, columns, _, step = np.indices(shape, sparse=True)
-    x_px, y_px, up = (np.broadcast_to(each, shape).astype(float).ravel()
-                      for each in (x0 + columns, y0 + rows, step < LAMP_STEPS))  # fmt: skip
-    return view.events(times_s.ravel(), x_px, y_px, up > 0.0)
+    return view.events(times_s, x0 + columns, y0 + rows, step < LAMP_STEPS)
 
 
 def hot_clusters(view: View, n_clusters: int, rng: np.random.Generator) -> NDArray[Any]:
     """Let clusters of 3 x 3 pixels fire without cause, all events ON."""
-    x_px, y_px = [np.empty(0)], [np.empty(0)]
+    pixels, counts = [], []
     for _ in range(n_clusters):
         x0, y0 = _corner(view, CLUSTER_PX, "a hot cluster", rng)
         for row, column in np.ndindex(CLUSTER_PX, CLUSTER_PX):
             rate_hz = CLUSTER_HZ * rng.lognormal(0.0, HOT_SPREAD)
-            n = rng.poisson(rate_hz * view.duration_s)
-            x_px.append(np.full(n, float(x0 + column)))
-            y_px.append(np.full(n, float(y0 + row)))
-    x, y = np.concatenate(x_px), np.concatenate(y_px)
+            counts.append(rng.poisson(rate_hz * view.duration_s))
+            pixels.append((x0 + column, y0 + row))
+    x, y = np.repeat(pixels, counts, axis=0).T
     times_s = rng.uniform(0.0, view.duration_s, len(x))
-    return view.events(times_s, x, y, np.ones(len(x), bool))
+    return view.events(times_s, x, y, True)
 
 
 def noise(view: View, rate_hz: float, rng: np.random.Generator) -> NDArray[Any]:

@@ -242,7 +242,7 @@ def _record(
                 height, width = crops.luminance.shape[1:]
                 y0, x0 = crops.y0_px[0], crops.x0_px[0]
                 image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
-            sensor = effects.start_sensor(image, start_s, rng, background)
+            sensor = effects.start_sensor(image, start_s, rng)
             crops = Crops._make(values[int(starts) :] for values in crops)
         if len(crops.times_s):
             sensor.feed(*crops)

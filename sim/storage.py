@@ -81,23 +81,17 @@ class CameraFiles:
         self.camera, self.n_events, self.n_frames = camera, 0, len(times_us)
         self._text_path = folder / f"{camera.name}.txt" if text else None
         self._events: list[NDArray[Any]] = []
-        self._file = h5py.File(folder / f"{camera.name}.h5", "w")
-        self._file.attrs["width"], self._file.attrs["height"] = camera.width, camera.height
+        self.file = h5py.File(folder / f"{camera.name}.h5", "w")
+        self.file.attrs["width"], self.file.attrs["height"] = camera.width, camera.height
         if not self.n_frames:
             return
         at_once = min(_FRAMES_PER_CHUNK, _MAX_CHUNK_BYTES // (camera.height * camera.width))
         chunk = (max(min(at_once, self.n_frames), 1), camera.height, camera.width)
         self._waiting = np.empty(chunk, np.uint8)
-        self._file.create_dataset("frames/t", data=times_us)
-        self._file["frames"].attrs["exposure_us"] = round(exposure_s * 1e6)
+        self.file.create_dataset("frames/t", data=times_us)
+        self.file["frames"].attrs["exposure_us"] = round(exposure_s * 1e6)
         about = {"shape": (self.n_frames, *chunk[1:]), "dtype": np.uint8, "chunks": chunk}
-        self._dataset = self._file.create_dataset("frames/images", **about, **_FRAME_CODEC)
-
-    def __enter__(self) -> "CameraFiles":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+        self._dataset = self.file.create_dataset("frames/images", **about, **_FRAME_CODEC)
 
     def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
         """Write frame k, of frames that come in their order."""
@@ -119,8 +113,8 @@ class CameraFiles:
         for name in ("t", "x", "y", "p"):
             blocks = [np.empty(0, EVENT_DTYPE[name]), *(block[name] for block in self._events)]
             stored = chunks if self.n_events else {}
-            self._file.create_dataset(f"events/{name}", data=np.concatenate(blocks), **stored)
-        self._file.close()
+            self.file.create_dataset(f"events/{name}", data=np.concatenate(blocks), **stored)
+        self.file.close()
 
 
 def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path) -> None:
@@ -206,7 +200,8 @@ def _write(
     with _whole_folder(out_dir) as partial, ExitStack() as open_files:
 
         def open_sink(*about: Any) -> CameraFiles:
-            sinks.append(open_files.enter_context(CameraFiles(partial, text, *about)))
+            sinks.append(CameraFiles(partial, text, *about))
+            open_files.callback(sinks[-1].file.close)
             return sinks[-1]
 
         flight = film(open_sink)

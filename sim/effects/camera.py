@@ -53,18 +53,12 @@ class CameraEffects:
             return crops
         return blurred_crops(crops, self.effects.blur_px, self._sharp, self.background)
 
-    def start_sensor(
-        self,
-        image: Float32Array,
-        time_s: float,
-        rng: np.random.Generator,
-        background: Float32Array | None = None,
-    ) -> Sensor:
+    def start_sensor(self, image: Float32Array, time_s: float, rng: np.random.Generator) -> Sensor:
         """Start the pixels, of light behind the lens, as `Sensor` starts."""
         if self.effects.is_none:
-            return Sensor(self._sensor, image, time_s, rng, background)
+            return Sensor(self._sensor, image, time_s, rng, self.background)
         about = (self._sensor, self.effects, self._rng(_PIXELS, self._index), self.flicker_rad)
-        return EffectsSensor(*about, image, time_s, rng, background)
+        return EffectsSensor(*about, image, time_s, rng, self.background)
 
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
         """Deliver all events of a recording that ends at a time [s], as the readout does.

@@ -32,7 +32,7 @@ class EffectsSensor(Sensor):
         image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
-        background: Float32Array | None = None,
+        background: Float32Array,
     ) -> None:
         super().__init__(config, image, time_s, rng, background)
         if self._noise is None:

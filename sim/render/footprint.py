@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import SamplingConfig
-from sim.scene.drone import Drone
+from sim.scene.drone import Drone, piece_size_m
 from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt, Trajectory
 
@@ -44,7 +44,7 @@ def footprint(
     passes through the camera's image plane within its view.
     """
     # Between these points of each part its silhouette is all but straight.
-    piece_m = None if camera.distortion_model == "none" else drone.size_m * _PIECE_OF_SIZE
+    piece_m = piece_size_m(drone, camera, _PIECE_OF_SIZE)
     hulls = [_hull_points(part.vertices_B_m, piece_m) for part in drone.parts]
     parts: list[tuple[FloatArray, ...]] = []
     last_px: FloatArray | None = None
@@ -105,7 +105,7 @@ def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> N
         )
 
 
-def _hull_points(vertices_m: FloatArray, piece_m: float | None) -> FloatArray:
+def _hull_points(vertices_m: FloatArray, piece_m: float) -> FloatArray:
     """Return a convex hull's corners and points no further apart than `piece_m` along its edges."""
     vertices_m = np.unique(vertices_m, axis=0)
     points, triangles = [vertices_m], np.arange(3)[None] % len(vertices_m)
@@ -115,12 +115,11 @@ def _hull_points(vertices_m: FloatArray, piece_m: float | None) -> FloatArray:
         except QhullError:  # a flat part has a hull when joggled
             hull = ConvexHull(vertices_m, qhull_options="QJ")
         points, triangles = [vertices_m[hull.vertices]], hull.simplices
-    if piece_m is not None:
-        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        starts, ends = vertices_m[np.unique(edges, axis=0)].transpose(1, 0, 2)
-        for start, end in zip(starts, ends, strict=True):
-            n = int(np.ceil(np.linalg.norm(end - start) / piece_m))
-            points.append(start + (end - start) * (np.arange(1, n) / max(n, 1))[:, None])
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    starts, ends = vertices_m[np.unique(edges, axis=0)].transpose(1, 0, 2)
+    for start, end in zip(starts, ends, strict=True):
+        n = int(np.ceil(np.linalg.norm(end - start) / piece_m))
+        points.append(start + (end - start) * (np.arange(1, n) / max(n, 1))[:, None])
     return np.concatenate(points)
 
 

@@ -38,7 +38,7 @@ class GLPainter:
         from pyrender.shader_program import ShaderProgramCache
 
         self._GL, self._drone, self._config = GL, drone, config
-        self._meshes: dict[float | None, list[Any]] = {}  # by the size of their pieces
+        self._meshes: dict[float, list[Any]] = {}  # by the size of their pieces
         self._program = ShaderProgramCache(str(SHADERS)).get_program("mesh.vert", "mesh.frag")
         self._program._add_to_context()
         self._framebuffer = GL.glGenFramebuffers(1)
@@ -162,7 +162,7 @@ class GLPainter:
         self._words = np.empty((height, width), np.uint32)
 
 
-def _primitive(part: Part, piece_m: float | None) -> Any:
+def _primitive(part: Part, piece_m: float) -> Any:
     """Turn a part into a pyrender.Primitive with one normal and albedo per face."""
     from pyrender.primitive import Primitive
 

@@ -34,7 +34,7 @@ class NativePainter:
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:
         self._drone, self._config = drone, config
-        self._meshes: dict[float | None, _Mesh] = {}  # by the size of their pieces
+        self._meshes: dict[float, _Mesh] = {}  # by the size of their pieces
 
     def room(self, width_px: int, height_px: int) -> int:
         """Return how many instants of this size may be drawn at a time."""
@@ -67,7 +67,7 @@ class NativePainter:
         return luminance
 
 
-def _mesh(drone: Drone, piece_m: float | None) -> _Mesh:
+def _mesh(drone: Drone, piece_m: float) -> _Mesh:
     """Put all parts into one list of faces, in double precision."""
     parts = [part_faces(part, piece_m) for part in drone.parts]
     vertices, faces, n_vertices = [], [], [0]
@@ -164,10 +164,7 @@ def _paint_crops(
     intrinsics, model, coeffs, lattice, centre, origins, block_px, tile_size,
     light, ambient, runs, n_samples, x0_px, y0_px, background, luminance,
 ):  # fmt: skip
-    """Draw n instants, one crop each; `luminance` (n, height, width) takes them.
-
-    A crop is drawn in blocks of pixels, whose samples stay in the processor's cache.
-    """
+    """Draw n instants into `luminance` (n, height, width), each in blocks of pixels."""
     n_vertices = vertices.shape[0]
     height_px, width_px = luminance.shape[1:]
     width, height = tile_size

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
@@ -108,26 +107,20 @@ class Renderer:
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        is_checked = np.zeros(len(times_s), np.bool_)
-        is_checked[self._checked(np.flatnonzero(seen.visible))] = True
+        checked = self._checked(np.flatnonzero(seen.visible))
         chosen = np.flatnonzero(near_view)
         while len(chosen):
             size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])  # at most as many
             batch, chosen = chosen[:size], chosen[size:]
             views = plan_views(self.drone, camera, seen, batch, times_s, T_W_B)
-            yield self._drawn(camera, views, background, is_checked[batch])
-
-    def _drawn(
-        self, camera: Camera, batch: Views, background: Float32Array, is_checked: NDArray[np.bool_]
-    ) -> Crops:
-        """Draw a batch, and compare those of its instants that are to be checked."""
-        width, height = crop_size(batch.boxes)
-        corner_px = np.minimum(batch.boxes[:, :2], [camera.width - width, camera.height - height])
-        luminance = self._painter.paint(camera, batch, corner_px, background)
-        if is_checked.any():
-            here = np.flatnonzero(is_checked)
-            self._compare(camera, batch, here, corner_px, background, luminance)
-        return Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
+            width, height = crop_size(views.boxes)
+            last_px = [camera.width - width, camera.height - height]
+            corner_px = np.minimum(views.boxes[:, :2], last_px)
+            luminance = self._painter.paint(camera, views, corner_px, background)
+            here = np.flatnonzero(np.isin(batch, checked))
+            if len(here):
+                self._compare(camera, views, here, corner_px, background, luminance)
+            yield Crops(views.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 
     def _size_of_batch(self, boxes: IntArray) -> int:
         """Find how many of the coming instants are painted at a time, in crops of one size."""

@@ -229,9 +229,9 @@ class Faces:
     albedo: Float32Array  # (F,)
 
 
-def piece_size_m(drone: Drone, camera: Camera) -> float | None:
-    """Return the longest edge [m] that may be drawn straight in this camera; None: any."""
-    return None if camera.distortion_model == "none" else drone.size_m * PIECE_OF_SIZE
+def piece_size_m(drone: Drone, camera: Camera, share: float = PIECE_OF_SIZE) -> float:
+    """Return the longest edge [m], a share of the drone, that stays straight in this camera."""
+    return np.inf if camera.distortion_model == "none" else drone.size_m * share
 
 
 @contextmanager
@@ -245,15 +245,12 @@ def in_memory(n_faces: int) -> Iterator[None]:
         ) from error
 
 
-def part_faces(part: Part, piece_m: float | None) -> Faces:
+def part_faces(part: Part, piece_m: float) -> Faces:
     """Return a part's faces, split until no edge is longer than `piece_m`; see `in_memory`."""
     with in_memory(len(part.faces)):
-        vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
-        if piece_m is not None:
-            split: Any = trimesh.remesh.subdivide_to_size
-            vertices, faces, index = split(vertices, faces, piece_m, return_index=True)
-            albedo = albedo[index]
-        corners = vertices[faces]
+        split: Any = trimesh.remesh.subdivide_to_size
+        vertices, faces, index = split(part.vertices_B_m, part.faces, piece_m, return_index=True)
+        corners, albedo = vertices[faces], part.albedo[index]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         has_area = length[:, 0] > 0.0  # the others show nothing

@@ -28,7 +28,6 @@ MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
 # trajectory stays near the origin from end to end. Shorter ones keep to what they always were.
 LONG_SEGMENTS = 2000
 _REDRAWN_S = 1.0  # of a long trajectory, on each side of where it leaves the circle
-_POSITION_AND_TURN = (slice(0, 3), slice(3, 6))  # of the six degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
         drawn = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
         values = np.where(is_drawn[:, None], drawn, values)
         spline = _fit_smoothing_spline(times_s, values, config.order, n_segments, config.smoothing)
-        position, turn = (BSpline(spline.t, spline.c[:, of], spline.k) for of in _POSITION_AND_TURN)
+        position, turn = (BSpline(spline.t, c, spline.k) for c in np.split(spline.c, 2, axis=1))
         check_s = np.linspace(0.0, config.duration_s, 10 * n_segments)
         is_inside = np.hypot(*position(check_s)[:, :2].T) <= config.max_radius_m
         if is_inside.all():

@@ -73,7 +73,7 @@ class Sensor:
 
     They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], from which no
     event comes. `rng` draws mismatch and noise: the same state gives the same events, however the
-    recording is cut into crops. `background`, by default the image, surrounds the crops.
+    recording is cut into crops. `background` surrounds the crops.
     """
 
     def __init__(
@@ -82,14 +82,12 @@ class Sensor:
         image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
-        background: Float32Array | None = None,
+        background: Float32Array,
     ) -> None:
         self.config = config
         shape = image.shape
         self._image = np.array(image, np.float32, order="C")
-        self._background = np.ascontiguousarray(
-            self._image.copy() if background is None else background, np.float32
-        )
+        self._background = np.ascontiguousarray(background, np.float32)
         self._reference = self._image.astype(np.float64) + config.log_eps
         on, off = (
             np.maximum(
@@ -103,7 +101,7 @@ class Sensor:
         self._low = (self._reference * self._down - config.log_eps).astype(np.float32)
         self._time_s = time_s
         # x0, y0, x1, y1 of what may differ from the background
-        self._box = np.array([0, 0, shape[1], shape[0]] if background is not None else [0] * 4)
+        self._box = np.array([0, 0, *shape[::-1]])
         self._events = EventBuffer()
         self._noise = None if config.is_ideal_in_time else self._start_noise(time_s, rng)
 
@@ -192,7 +190,8 @@ def events_from_frames(
         raise SimError("frames: times must be finite and increase from frame to frame; sort them")
     config = config or SensorConfig()
     rng = rng or np.random.default_rng(0)
-    sensor = Sensor(config, _unit_range(frames[0]), float(times_s[0]), rng)
+    first = _unit_range(frames[0])
+    sensor = Sensor(config, first, float(times_s[0]), rng, first)
     zero = np.zeros(1, np.int64)
     for time_s, frame in zip(times_s[1:], frames[1:], strict=True):
         sensor.feed(np.array([time_s]), zero, zero, _unit_range(frame)[None])
@@ -232,7 +231,7 @@ def slow_events(
     without_noise = SensorConfig(
         config.threshold_on, config.threshold_off, config.log_eps, config.threshold_mismatch
     )
-    pixels = Sensor(without_noise, before, 0.0, of_pixels)
+    pixels = Sensor(without_noise, before, 0.0, of_pixels, before)
     for times_s, images in batches:
         corner = np.zeros(len(times_s), np.int64)
         pixels.feed(times_s, corner, corner, images)

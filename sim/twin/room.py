@@ -138,9 +138,7 @@ def _wire(
     for brighter, entered in ((False, pixels[k + 1, rows]), (True, pixels[k, rows])):
         threshold = sensor.threshold_on if brighter else sensor.threshold_off
         fires = rng.random(len(k)) < contrast / threshold  # from any level that it remembers
-        polarity = np.full(int(fires.sum()), brighter)
-        at = (crossed_s[fires], entered[fires], rows[fires].astype(np.float64))
-        streams.append(view.events(*at, polarity))
+        streams.append(view.events(crossed_s[fires], entered[fires], rows[fires], brighter))
     return np.concatenate(streams)
 
 

@@ -1,5 +1,6 @@
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_from_csv, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from tests.sim.scenes import QUICK, counts, make_camera, noise_image, rng
+from tests.sim.scenes import QUICK, counts, rng
 
 pytestmark = pytest.mark.render
 
@@ -91,31 +92,26 @@ def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
     assert len(replace(QUICK, drone="bird", flap_hz=0.0).scene(1).drone.parts) == 1
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "brick.stl")
     trajectory_to_csv(random_spline(QUICK.spline, rng(8)), tmp_path / "path.csv", 500.0)
-    np.save(tmp_path / "1.npy", noise_image(make_camera()))
+    walls, paths = rng().random((2, 260, 346), np.float32), (tmp_path / "1.npy", tmp_path / "2.npy")
+    for path, wall in zip(paths, walls, strict=True):
+        np.save(path, wall)
+    recording = simulate(replace(QUICK, background_files=paths), 1)
+    for camera, wall in zip(recording.cameras, walls, strict=True):
+        assert (camera.frames.images == np.rint(wall * 255)).mean() > 0.9
     config = replace(
         QUICK,
         drone_file=tmp_path / "brick.stl",
         drone_size_m=0.6,
         trajectory_file=tmp_path / "path.csv",
-        background_files=(tmp_path / "1.npy",),
+        background_files=paths[:1],
     )
     scene, times_s = config.scene(1), np.linspace(0.0, 1.0, 99)
     assert (len(scene.drone.parts[0].faces), scene.drone.size_m) == (12, pytest.approx(0.6))
     expected = trajectory_from_csv(tmp_path / "path.csv").poses(times_s)
     np.testing.assert_array_equal(scene.trajectory.poses(times_s), expected)
-    for background in scene.backgrounds:
-        np.testing.assert_array_equal(background, noise_image(make_camera()))
+    np.testing.assert_array_equal(scene.backgrounds, walls[[0, 0]])
     with pytest.raises(SimError, match="rotors spin on the built-in quadrotors only"):
         replace(config, rotor_hz=20.0).scene(1)
-
-
-def test_each_camera_has_its_background(tmp_path: Path) -> None:
-    walls, paths = rng().uniform(0.3, 0.9, (2, 260, 346)), (tmp_path / "1.npy", tmp_path / "2.npy")
-    for path, wall in zip(paths, walls, strict=True):
-        np.save(path, wall)
-    recording = simulate(replace(QUICK, background_files=paths), 1)
-    for camera, wall in zip(recording.cameras, walls, strict=True):
-        assert (camera.frames.images == np.rint(wall.astype(np.float32) * 255)).mean() > 0.9
 
 
 def test_a_drone_that_is_never_in_view() -> None:
@@ -143,36 +139,28 @@ def test_progress_goes_from_0_to_1_and_the_backend_is_recorded() -> None:
 def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames one by one, events in order; little of either is left for the end of a camera."""
     monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
-    calls: list[tuple[str, str, int]] = []
+    cameras: dict[str, list[tuple[str, Any]]] = {}
 
-    class CountingSink:
-        def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
-            self.name, self.n_frames, self.last_us = camera.name, len(times_us), -1
-
-        def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
-            calls.append((self.name, "frame", k))
-
-        def add(self, events: NDArray[np.void]) -> None:
-            assert (np.diff(events["t"], prepend=self.last_us) >= 0).all()
-            self.last_us = events["t"][-1] if len(events) else self.last_us
-            calls.append((self.name, "events", len(events)))
-
-        def close(self) -> None:
-            calls.append((self.name, "close", self.n_frames))
+    def open_sink(camera: Camera, times_us: NDArray[np.int64], _: float) -> Any:
+        assert all(calls[-1][0] == "close" for calls in cameras.values())
+        calls = cameras[camera.name] = [("open", len(times_us))]
+        return SimpleNamespace(
+            take_frame=lambda k, _: calls.append(("frame", k)),
+            add=lambda events: calls.append(("events", events["t"].copy())),
+            close=lambda: calls.append(("close", None)),
+        )
 
     config = replace(QUICK, frames=FrameConfig(50.0))
-    flight, whole = stream(config, 1, CountingSink), simulate(config, 1)
+    flight, whole = stream(config, 1, open_sink), simulate(config, 1)
     assert flight.n_instants == whole.n_instants
-    assert [name for name, what, _ in calls if what == "close"] == ["cam1", "cam2"]
-    for camera in whole.cameras:
-        mine = [call[1:] for call in calls if call[0] == camera.camera.name]
-        assert [k for what, k in mine if what == "frame"] == list(range(50))
-        batches = [n for what, n in mine if what == "events"]
-        assert sum(batches) == len(camera.events)
-        assert max(batches) < 0.5 * sum(batches)
-        first, *_, last = (k for k, (what, _) in enumerate(mine) if what == "events")
-        assert {("frame", 10), ("frame", 40)} <= {*mine[first:last]}
-        assert mine[-1] == ("close", 50)
+    for camera, calls in zip(whole.cameras, cameras.values(), strict=True):
+        assert (calls[0], calls[-1]) == (("open", 50), ("close", None))
+        assert [k for what, k in calls if what == "frame"] == list(range(50))
+        batches = [times_us for what, times_us in calls if what == "events"]
+        np.testing.assert_array_equal(np.concatenate(batches), camera.events["t"])
+        assert max(map(len, batches)) < 0.5 * len(camera.events)
+        first, *_, last = (k for k, (what, _) in enumerate(calls) if what == "events")
+        assert {10, 40} <= {k for what, k in calls[first:last] if what == "frame"}
 
 
 @pytest.mark.parametrize("skew_ppm", [0.0, 50.0, -50.0, 100_000.0, -100_000.0])

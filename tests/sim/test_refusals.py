@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,21 @@ from sim.errors import SimError
 from sim.recorded import drift_of
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
+from sim.render.footprint import footprint
 from sim.render.gl_context import open_context
 from sim.render.lattice import Lattice
-from sim.scene.background import uniform_background
+from sim.scene.background import load_background, uniform_background
+from sim.scene.drone import drone_from_file
 from sim.scene.flyers import bird, built_in_drone, quadrotor
 from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import SplineConfig, random_spline
+from sim.scene.trajectory import SplineConfig, random_spline, trajectory_from_csv
 from sim.sensor.events import SensorConfig, events_from_frames
 from sim.sensor.frames import FrameConfig
 from sim.twin.bench import TwinConfig, bench_rig, printed
 from sim.twin.calibration import CalibrationConfig, calibrated_camera
 from sim.twin.pendulum import PendulumConfig, hanging
 from sim.twin.room import RoomConfig
-from tests.sim.scenes import make_camera, rng
+from tests.sim.scenes import box_drone, make_camera, poses, rng
 
 NAN, INF = float("nan"), float("inf")
 QUICK = SimConfig(spline=SplineConfig(duration_s=1.0), render=RenderConfig(check=False))
@@ -174,6 +177,10 @@ CASES: list[tuple[Callable[[], Any], str]] = [
         ({"distance_m": 0.5}, "reaches into the camera"),
     )),
     (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),
+    # In view and 100,000 px beside it; 4 m wide, 0.1 m before a lens of 5000 px.
+    (lambda: footprint(box_drone((4.0, 0.05, 0.05)), two_view_rig(90.0, focal_px=5e3).cameras[0],
+                       np.zeros(1), poses(np.array([[0.0, -4.9, 0.0]]))),
+     "reaches into the camera"),
 ]  # fmt: skip
 BENCH = bench_rig(TwinConfig())
 
@@ -193,3 +200,81 @@ def test_distortion_that_folds_the_image_is_refused(lens: dict[str, Any]) -> Non
     with pytest.raises(SimError, match=r"cam1: the .* fold the image back on itself"):
         two_view_rig(90.0, **lens)
     two_view_rig(90.0, focal_px=2000.0, **lens)
+
+
+def wall_with(light: float) -> np.ndarray:
+    wall = np.full((48, 64), 0.5)
+    wall[3, 4] = light
+    return wall
+
+
+def two_arrays() -> bytes:
+    file = BytesIO()
+    np.savez(file, one=wall_with(0.5), other=wall_with(0.5))
+    return file.getvalue()
+
+
+LOST_VERTEX = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
+)
+MESHES = [
+    ("mesh.ply", LOST_VERTEX, "faces whose vertices are missing"),
+    ("mesh.stl", None, "does not exist"),
+    ("mesh.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces"),
+    ("mesh.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+    ("mesh.obj", "v 0 0 0\nv 0 0 1\nv 0 0 2\nf 1 2 3\n", "no extent along x or y"),
+    ("mesh.stl", "not a mesh", "has no faces"),
+    ("mesh.docx", "not a mesh", "cannot read the drone's mesh"),
+]
+SIZE, LIGHT = "expected 64 x 48 pixels .* resize", r"expected linear luminance in \[0, 1\]"
+UNREAD = "cannot read the background .*"
+WALLS = [
+    *(("wall.npy", np.zeros(shape), SIZE) for shape in ((48, 63), (64, 48), (48, 64, 3))),
+    *(("wall.npy", wall_with(light), LIGHT) for light in (-0.1, 1.1, NAN, INF)),
+    *(("wall.npy", np.array(odd), "wall") for odd in (["a"] * 4, [None])),
+    *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
+    *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),
+    ("empty.npy", b"", UNREAD),
+    ("two.npy", two_arrays(), UNREAD),
+]
+ROW = "{},{},0,1,0,0,0,1\n"  # t, x
+GOOD = [ROW.format(t, 0) for t in (0.0, 0.1, 0.2, 0.3)]
+PATHS = [
+    ("path.csv", "".join(lines), said)
+    for lines, said in (
+        ([*GOOD, ROW.format(0.25, 0)], r"line 5: times must increase.*0\.25 s follows 0\.3 s"),
+        ([*GOOD, GOOD[-1]], r"line 5: times must increase.*drop repeats"),
+        ([*GOOD, ROW.format("nan", 0)], r"line 5: expected 8 finite numbers.*got nan"),
+        ([*GOOD, ROW.format("", 0)], r"line 5: expected 8 finite numbers.*correct or delete"),
+        ([*GOOD, "0.4,1,2,3\n"], r"line 5: expected 8 finite numbers"),
+        ([*GOOD, "0.4,0,0,0,0,0,0,0\n"], r"line 5: the quaternion .* is zero"),
+        (GOOD[:3], r"expected 4 rows or more of t, x.*got 3"),
+        ([], r"expected 4 rows or more of t, x.*got 0"),
+        (["t,x,y,z,qx,qy,qz\n", *GOOD], r"line 1: the header lacks qw"),
+        ([ROW.format(t * 10**8, 0) for t in range(20)], r"must be in seconds.*divide by 1e9"),
+    )
+]
+READERS: dict[Callable[[Path], Any], list[tuple[str, Any, str]]] = {
+    drone_from_file: MESHES,
+    lambda path: load_background(path, make_camera(resolution=(64, 48))): WALLS,
+    trajectory_from_csv: PATHS,
+}
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "holds", "said"),
+    [(read, *file) for read, files in READERS.items() for file in files],
+)
+def test_a_file_that_is_no_use_is_refused(
+    tmp_path: Path, read: Callable[[Path], Any], name: str, holds: Any, said: str
+) -> None:
+    path = tmp_path / name
+    if isinstance(holds, np.ndarray):
+        np.save(path, holds)
+    elif holds is not None:
+        path.write_bytes(holds if isinstance(holds, bytes) else holds.encode())
+    with pytest.raises(SimError, match=said) as error:
+        read(path)
+    assert name in str(error.value)

@@ -185,26 +185,6 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
 
 
 @pytest.mark.render
-@pytest.mark.parametrize(
-    ("error", "done"), [(SimError("no"), 0.3), (SimError("no"), 1.0), (KeyboardInterrupt(), 0.8)]
-)
-def test_nothing_is_left_of_a_simulation_that_ends_early(
-    tmp_path: Path, error: BaseException, done: float
-) -> None:
-    out = tmp_path / "out"
-
-    def stop(share: float) -> None:
-        assert not out.exists()
-        if share >= done:
-            assert [path.suffix for path in tmp_path.iterdir()] == [".partial"]
-            raise error
-
-    with pytest.raises(type(error)):
-        record(QUICK, 1, out, {}, text=True, progress=stop)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.render
 def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path: Path) -> None:
     out = tmp_path / "out"
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.errors import SimError
 from sim.render.config import SamplingConfig
 from sim.render.footprint import choose_instants, footprint
 from sim.scene.drone import Drone
 from sim.scene.flyers import bird, quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
-from tests.sim.scenes import LENSES, box_drone, poses, straight
+from tests.sim.scenes import LENSES, straight
 
 RIGS = {
     lens: two_view_rig(90.0, distortion_model=lens, distortion_coeffs=coeffs)
@@ -38,14 +37,6 @@ def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str
         np.testing.assert_allclose(moved_px, expected_px, rtol=1e-9)
 
 
-def test_a_drone_that_reaches_beyond_the_renderers_numbers_is_refused() -> None:
-    """In view and 100,000 px beside it; 4 m wide, 0.1 m before a lens of 5000 px."""
-    camera = two_view_rig(90.0, focal_px=5000.0).cameras[0]
-    T_W_B = poses(np.array([[0.0, -4.9, 0.0]]))
-    with pytest.raises(SimError, match="reaches into the camera"):
-        footprint(box_drone((4.0, 0.05, 0.05)), camera, np.zeros(1), T_W_B)
-
-
 def flight(seed: int, duration_s: float = 4.0) -> Trajectory:
     return random_spline(SplineConfig(duration_s=duration_s), np.random.default_rng(seed))
 
@@ -56,7 +47,7 @@ def flight(seed: int, duration_s: float = 4.0) -> Trajectory:
     [(quadrotor(), 1.01), (quadrotor(rotor_hz=60.0), 1.04), (bird(1.0, 8.0), 1.04)],
     ids=["still", "spinning", "flapping"],
 )
-def test_no_step_is_longer_than_the_bound(lens: str, drone: Drone, gain: float) -> None:
+def test_steps_are_as_long_as_the_bound_lets_them(lens: str, drone: Drone, gain: float) -> None:
     trajectory, max_step_px = flight(1, duration_s=1.0), 0.25
     for camera in RIGS[lens].cameras:
         instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px))
@@ -64,14 +55,8 @@ def test_no_step_is_longer_than_the_bound(lens: str, drone: Drone, gain: float) 
         # Between probes the speed is taken as constant. In flight it is, to 1 % of a step; but in
         # 1/100 of a turn a blade seen aslant or a wing gains up to 4 % on its mean speed.
         assert steps_px.max() <= gain * max_step_px
-
-
-def test_steps_are_not_much_shorter_than_they_need_be() -> None:
-    drone, camera, trajectory = quadrotor(), RIGS["none"].cameras[0], flight(2)
-    instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px=0.4))
-    # The bound holds for the fastest corner, and which one that is changes with time: 0.8 of it.
-    steps_px = footprint(drone, camera, instants_s, trajectory.poses(instants_s)).moved_px[1:]
-    assert np.median(steps_px) > 0.8 * 0.4
+        # The bound holds for the fastest corner, and which one that is changes with time.
+        assert np.median(steps_px[1:]) > 0.8 * max_step_px
 
 
 @pytest.mark.parametrize("seed", [3, 4])

@@ -6,7 +6,6 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from sim.errors import SimError
 from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file
 from sim.scene.flyers import (
     DRONES,
@@ -158,34 +157,6 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:
     (part,) = from_file(trimesh.Scene([red, green]), tmp_path / "two.glb").parts
     behind = part.vertices_B_m[part.faces].mean(axis=1)[:, 0] < 0
     np.testing.assert_allclose(part.albedo, np.where(behind, 0.2126, 0.7152))
-
-
-LOST_VERTEX = (
-    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-    "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
-)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("mesh.ply", LOST_VERTEX, "faces whose vertices are missing"),
-        ("mesh.stl", None, "does not exist"),
-        ("mesh.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces"),
-        ("mesh.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("mesh.obj", "v 0 0 0\nv 0 0 1\nv 0 0 2\nf 1 2 3\n", "no extent along x or y"),
-        ("mesh.stl", "not a mesh", "has no faces"),
-        ("mesh.docx", "not a mesh", "cannot read the drone's mesh"),
-    ],
-)
-def test_bad_file(tmp_path: Path, name: str, text: str | None, message: str) -> None:
-    path = tmp_path / name
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(SimError, match=message) as error:
-        drone_from_file(path)
-    assert str(path) in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -8,7 +7,6 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from sim.errors import SimError
 from sim.scene.background import load_background, uniform_background
 from sim.scene.rig import kalibr_yaml, look_at_rig, two_view_rig
 from tests.sim.scenes import LENSES, make_camera, noise_image, rng
@@ -147,44 +145,3 @@ def test_arrays_and_images_of_floating_point_are_linear(tmp_path: Path) -> None:
     sky = uniform_background(CAMERA, 0.6)
     assert (sky.shape, sky.dtype) == ((48, 64), np.float32)
     assert (sky == np.float32(0.6)).all()
-
-
-def wall_with(light: float) -> np.ndarray:
-    wall = np.full((48, 64), 0.5)
-    wall[3, 4] = light
-    return wall
-
-
-def two_arrays() -> bytes:
-    file = BytesIO()
-    np.savez(file, one=wall_with(0.5), other=wall_with(0.5))
-    return file.getvalue()
-
-
-SIZE, LIGHT = "expected 64 x 48 pixels .* resize", r"expected linear luminance in \[0, 1\]"
-UNREAD = "cannot read the background .*"
-
-
-@pytest.mark.parametrize(
-    ("name", "holds", "said"),
-    [
-        *(("wall.npy", np.zeros(shape), SIZE) for shape in ((48, 63), (64, 48), (48, 64, 3))),
-        *(("wall.npy", wall_with(light), LIGHT) for light in (-0.1, 1.1, np.nan, np.inf)),
-        *(("wall.npy", np.array(odd), "wall") for odd in (["a"] * 4, [None])),
-        *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
-        *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),
-        ("empty.npy", b"", UNREAD),
-        ("two.npy", two_arrays(), UNREAD),
-    ],
-)
-def test_what_is_no_wall_is_refused(
-    tmp_path: Path, name: str, holds: np.ndarray | bytes | None, said: str
-) -> None:
-    path = tmp_path / name
-    if isinstance(holds, bytes):
-        path.write_bytes(holds)
-    elif holds is not None:
-        np.save(path, holds)
-    with pytest.raises(SimError, match=said) as error:
-        load_background(path, CAMERA)
-    assert name in str(error.value)

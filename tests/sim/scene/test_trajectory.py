@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from sim.errors import SimError
 from sim.scene import trajectory
 from sim.scene.trajectory import (
     SplineConfig,
@@ -35,14 +34,6 @@ def radius_m(path: np.ndarray) -> float:
 
 
 # --- Random splines ---------------------------------------------------------------------------
-
-
-def test_same_seed_same_bytes_in_whatever_order() -> None:
-    times_s = np.linspace(0, 6, 50)
-    assert spline(7).poses(times_s).tobytes() == spline(7).poses(times_s).tobytes()
-    assert spline(7).poses(times_s).tobytes() != spline(8).poses(times_s).tobytes()
-    one_by_one = np.concatenate([spline(7).poses(time_s[None]) for time_s in times_s[::-1]])
-    np.testing.assert_array_equal(spline(7).poses(times_s[::-1]), one_by_one)
 
 
 def test_third_derivative_is_continuous_and_fourth_is_not() -> None:
@@ -146,28 +137,3 @@ def test_csv_header_order_comments_and_start_time(tmp_path: Path) -> None:
     np.testing.assert_array_equal(from_plain.poses(times_s), from_named.poses(times_s))
     # A parabola is a cubic: not-a-knot reproduces it to round-off.
     np.testing.assert_allclose(from_plain.poses(times_s)[:, 0, 3], (times_s + 10) ** 2, atol=1e-11)
-
-
-GOOD = [ROW.format(t, 0) for t in (0.0, 0.1, 0.2, 0.3)]
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([*GOOD, ROW.format(0.25, 0)], r"line 5: times must increase.*0\.25 s follows 0\.3 s"),
-        ([*GOOD, GOOD[-1]], r"line 5: times must increase.*drop repeats"),
-        ([*GOOD, ROW.format("nan", 0)], r"line 5: expected 8 finite numbers.*got nan"),
-        ([*GOOD, ROW.format("", 0)], r"line 5: expected 8 finite numbers.*correct or delete"),
-        ([*GOOD, "0.4,1,2,3\n"], r"line 5: expected 8 finite numbers"),
-        ([*GOOD, "0.4,0,0,0,0,0,0,0\n"], r"line 5: the quaternion .* is zero"),
-        (GOOD[:3], r"expected 4 rows or more of t, x.*got 3"),
-        ([], r"expected 4 rows or more of t, x.*got 0"),
-        (["t,x,y,z,qx,qy,qz\n", *GOOD], r"line 1: the header lacks qw"),
-        ([ROW.format(t * 10**8, 0) for t in range(20)], r"must be in seconds.*divide by 1e9"),
-    ],
-)
-def test_bad_csv(tmp_path: Path, lines: list[str], message: str) -> None:
-    path = write(tmp_path, "".join(lines))
-    with pytest.raises(SimError, match=message) as error:
-        trajectory_from_csv(path)
-    assert str(path) in str(error.value)

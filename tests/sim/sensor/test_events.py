@@ -38,7 +38,8 @@ def sensor_of(
     background: NDArray[np.float32] | None = None,
 ) -> Sensor:
     """Pixels with effects or without."""
-    about = (image.astype(np.float32), time_s, rng(1), background)
+    first = image.astype(np.float32)
+    about = (first, time_s, rng(1), first if background is None else background)
     if effects is None:
         return Sensor(config, *about)
     return EffectsSensor(config, effects, rng(1001), FLICKER_RAD, *about)
@@ -109,7 +110,7 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
     """
     video, times_s = smooth_video(60, 20, 30), 0.001 * np.arange(60)
     given = video.copy()
-    sensor = Sensor(config, video[0], 0.0, rng(5))
+    sensor = sensor_of(video[0], config)
     on, off = config.threshold_on, config.threshold_off
     if config.threshold_mismatch:
         on, off = np.log(sensor._up), -np.log(sensor._down)
@@ -314,7 +315,7 @@ def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
     """The level that leaks is never further from the light than the threshold."""
     config = SensorConfig(leak_hz=5.0)
     video, times_s = smooth_video(100, 20, 30), 5e-3 * np.arange(100)
-    sensor = Sensor(config, video[0], 0.0, rng(1))
+    sensor = sensor_of(video[0], config)
     for k in range(1, 100):
         feed(sensor, times_s[k : k + 1], video[k : k + 1])
         distance = np.log((video[k] + EPS) / sensor._reference)

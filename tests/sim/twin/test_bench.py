@@ -168,13 +168,6 @@ def test_the_body_hangs_along_the_wire_when_nothing_rocks_it() -> None:
     np.testing.assert_allclose(up, -drawn.wire(times_s), atol=1e-8)
 
 
-def test_no_motion_leaves_the_ball() -> None:
-    config, times_s = PendulumConfig(), np.linspace(0.0, 20.0, 1000)
-    for seed in (5, 6):
-        path = hanging(config, 20.0, rng(seed)).trajectory.position(times_s)
-        assert np.linalg.norm(path, axis=1).max() <= config.max_radius_m + 1e-6
-
-
 def test_without_noise_the_calibration_is_the_truth() -> None:
     config = CalibrationConfig(n_views=8, n_shared=8, corner_std_px=0.0)
     rig, draws = bench_rig(TwinConfig()), rng(0)
