@@ -58,7 +58,6 @@ def write_bag(path, topics):
 
 
 def arrays(events, package="dvs_msgs"):
-    """Messages of a list of events each."""
 
     def fields(some):
         def made(types):
@@ -96,7 +95,6 @@ def mono(events, order="<"):
 
 
 def points(track):
-    """Messages of a point each."""
 
     def fields(x, y):
         return lambda types: {"point": types.types["geometry_msgs/msg/Point"](x, y, 0.0)}

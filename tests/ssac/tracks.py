@@ -65,7 +65,6 @@ def rig_document(**keys) -> dict:
 
 
 def save_pair(folder: Path, scene: Scene, t_d_s: float, readout_s: float = 0.0) -> Path:
-    """Write two tracks and their rig."""
     for k, track in enumerate(frame_tracks(scene, t_d_s, readouts_s=(readout_s, 0.0)), start=1):
         save_track(folder / f"cam{k}.csv", track)
     document = rig_document()

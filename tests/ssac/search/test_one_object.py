@@ -27,7 +27,6 @@ def seen(*streams):
 
 
 def crowd(ones, others):
-    """Both cameras' events of two things, and which is which."""
     cameras = [mixed(one, other) for one, other in zip(ones, others, strict=True)]
     return seen(*(events for events, _ in cameras)), [thing for _, thing in cameras]
 
@@ -122,7 +121,6 @@ def test_noise_that_is_kept_hides_things(two_flights):
 
 
 def third_camera(one_seed, other_seed):
-    """A third camera's events of two flights, and which is which."""
     return mixed(flight(one_seed, angle_deg=40.0)[1], flight(other_seed, angle_deg=40.0)[1])
 
 
