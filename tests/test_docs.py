@@ -68,7 +68,7 @@ def test_the_readme_shows_what_its_commands_and_its_python_print(tmp_path, monke
     exec(code, {})
     summary, _, last_line = capsys.readouterr().out.rpartition("\nok ")
     assert last_line.startswith("0.0")
-    # `ssac sync` prints the summary too: see tests/ssac/pipeline/test_api.py.
+    # `ssac sync` prints the summary too: see tests/test_one_answer.py.
     printed = f"$ {example.SIMULATE}\n{simulated}$ {example.SYNC}\n{summary}"
     # Digits depend on the GL library, so only the words are compared.
     assert _words(example.shown_in(readme)) == _words(printed), "run docs/example.py"
