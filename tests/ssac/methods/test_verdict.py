@@ -15,8 +15,9 @@ from ssac.methods.verdict import certain, doubt, less_sure, offset_estimate
 from ssac.rules import RetryRules, Rules
 from ssac.search.offset_search import OffsetSearch
 from ssac.track.observation import tracked
-from tests.ssac.box import CLEAN, T_D_S, box_events, observations
+from tests.ssac.box import box_events
 from tests.ssac.methods import flights
+from tests.ssac.methods.flights import CLEAN, T_D_S
 from tests.ssac.synthetic import make_events, make_scene
 from tests.ssac.tracks import frame_track
 
@@ -204,7 +205,7 @@ def test_positions_settle_what_the_table_names_of_a_search(status):
 
 @pytest.fixture(scope="module")
 def views():
-    return two_views(*observations(*box_events(SCENE, 0)), SCENE.unknown_rig, CLEAN)
+    return two_views(*box_events(SCENE, 0), SCENE.unknown_rig, CLEAN)
 
 
 @pytest.mark.parametrize("status", REFUSALS)
