@@ -18,9 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.render
-def test_the_tour_runs_and_finds_what_it_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # What is tried of a recording that gives nothing takes long, and has tests of its own.
     monkeypatch.setattr(retries, "lies_elsewhere", lambda *_: False)
