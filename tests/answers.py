@@ -91,7 +91,7 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
         raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
     found = read_json(out)
     assert ended.exit_code == (found["status"] != "ok"), ended.stderr
-    return {**untimed(found), "printed": ended.stdout.split()}  # lines are folded there
+    return {**untimed(found), "printed": ended.stdout.split()}
 
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:

@@ -94,5 +94,5 @@ def test_one_answer(name, tmp_path, found):
             ended = run("sync", *recorded.files, "--rig", recorded.rig, "--json", out)
             result = ssac.sync([*recorded.files], recorded.rig)
             assert ended.exit_code == (result.status != "ok"), ended.stderr
-            assert ended.stdout.split() == result.summary().split()  # lines are folded there
+            assert ended.stdout.split() == result.summary().split()  # whose lines are folded
             assert list(differences(untimed(read_json(out)), untimed(result.to_dict()))) == []
