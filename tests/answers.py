@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -37,10 +37,7 @@ class Recorded:
     rig: str
     known_extrinsics: bool = False
     estimate_readout: bool = False
-    config: dict[str, Any] = field(default_factory=dict)  # fields of Config
-
-    def __hash__(self) -> int:
-        return hash(self.name)
+    config: dict[str, Any] = field(default_factory=dict, hash=False)  # fields of Config
 
     def without_paths(self, text: str) -> str:
         """Name cameras and rig as a caller without files knows them."""
@@ -53,7 +50,7 @@ class Recorded:
 
 
 def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
-    """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
+    """Call `ssac.sync`: the estimate, and what the command line is to write and print."""
     from ssac import sync
 
     result = sync(
@@ -61,24 +58,21 @@ def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> d
         known_extrinsics=recorded.known_extrinsics, cameras=(pair[0] + 1, pair[1] + 1),
         estimate_readout=recorded.estimate_readout, **recorded.config,
     )  # fmt: skip
-    return {"estimate": result.estimate, "json": untimed(result.to_dict())}
+    told = {**untimed(result.to_dict()), "printed": result.summary().split()}
+    return {"estimate": result.estimate, "told": told}
 
 
 def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    """Call `ssac.sync`."""
-    estimate: Estimate = told_by_python(recorded, method, pair)["estimate"]
-    return estimate
+    return told_by_python(recorded, method, pair)["estimate"]
 
 
 def untimed(told: dict[str, Any]) -> dict[str, Any]:
-    """Leave out of a JSON how long it took."""
     found = {name: value for name, value in told.items() if name != "seconds"}
-    plain: dict[str, Any] = json.loads(json.dumps(found))
-    return plain
+    return json.loads(json.dumps(found))
 
 
 def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Run `ssac sync --json` within this process: what the file holds."""
+    """Run `ssac sync --json` within this process: what the file holds, and what is printed."""
     from ssac.cli.sync import OPTIONS
     from tests.ssac.command import read_json, run
 
@@ -97,7 +91,7 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
         raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
     found = read_json(out)
     assert ended.exit_code == (found["status"] != "ok"), ended.stderr
-    return untimed(found)
+    return {**untimed(found), "printed": ended.stdout.split()}
 
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
@@ -113,7 +107,6 @@ def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
 
 
 def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
-    """Score an answer as a study does."""
     from experiments.lab.schedule import plain
     from experiments.lab.scored import _scored
 
@@ -161,7 +154,6 @@ def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
 
 
 def _of_study(recorded: Recorded, method: str) -> Any:
-    """Give the cell and what it shares with others."""
     from experiments.lab.grid import Cell
     from sim.recording import SimConfig
     from ssac.pipeline.registry import choose_method
@@ -191,25 +183,19 @@ def fields_of(value: Any) -> Any:
     return str(value) if isinstance(value, str) else value
 
 
-class Difference(NamedTuple):
-    """A field that two answers have not alike."""
-
-    field: str
-    one: Any
-    other: Any
+def assert_same(one: Any, other: Any) -> None:
+    """Compare two dataclasses to the last bit."""
+    assert [*differences(fields_of(one), fields_of(other))] == []
 
 
-_MISSING = "(missing)"
-
-
-def differences(one: Any, other: Any, name: str = "") -> Iterator[Difference]:
-    """List the fields that differ in a bit; NaN is NaN."""
+def differences(one: Any, other: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """List the fields that differ in a bit, with both values; NaN is NaN."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in {**one, **other}:
-            inner = f"{name}.{key}" if name else str(key)
-            yield from differences(one.get(key, _MISSING), other.get(key, _MISSING), inner)
+            inner, missing = f"{name}.{key}" if name else str(key), "(missing)"
+            yield from differences(one.get(key, missing), other.get(key, missing), inner)
     elif not _is_same(one, other):
-        yield Difference(name, one, other)
+        yield name, one, other
 
 
 def _is_same(one: Any, other: Any) -> bool:
@@ -224,13 +210,7 @@ def _is_same(one: Any, other: Any) -> bool:
 
 
 def main() -> None:
-    """Answer with the packages of PYTHONPATH: recordings of a JSON file, answers into a pickle.
-
-    Raises
-    ------
-    SystemExit
-        If the packages are those of another tree.
-    """
+    """Answer with the packages of PYTHONPATH: recordings of a JSON file, answers into a pickle."""
     recorded_file, answers_file = map(Path, sys.argv[1:])
     tree = Path(os.environ["PYTHONPATH"])
     if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):

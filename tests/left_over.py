@@ -14,7 +14,6 @@ ELSEWHERE = "elsewhere-01234567"
 
 
 def ended_process() -> int:
-    """Id of a process that has ended."""
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     return process.pid

@@ -30,8 +30,6 @@ PACKAGES = ("sim", "ssac", "experiments", "tests")
 
 @dataclass(frozen=True)
 class Mutant:
-    """An error, and where it is made."""
-
     name: str
     file: str
     old: str  # occurs exactly once in the file
@@ -58,7 +56,6 @@ class Mutant:
 
 
 def mutants() -> list[Mutant]:
-    """Read the list."""
     listed = tomllib.loads(LIST.read_text(encoding="utf-8"))["mutant"]
     return [Mutant(**{**one, "tests": tuple(one.get("tests", ()))}) for one in listed]
 

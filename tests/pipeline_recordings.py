@@ -68,7 +68,6 @@ def _rig(seen: Seen) -> dict[str, Any]:
 
 
 def _events(scene: Scene = SCENE, t_d_s: float = T_D_S, size_m: float = SIZE_M) -> list[Any]:
-    """Events of one object in two views."""
     return list(make_events(scene, 0, t_d_s, RATE_HZ, size_m))
 
 
@@ -80,7 +79,6 @@ def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
 
 
 def _crowd(*seeds: int, duration_s: float = DURATION_S) -> list[Any]:
-    """Events of several flights, the first one twice as dense as the others."""
     flights = [
         make_events(make_scene(seed, duration_s=duration_s), seed, T_D_S, RATE_HZ * share, SIZE_M)
         for seed, share in zip(seeds, (1.0, 0.5, 0.5), strict=False)
@@ -105,7 +103,6 @@ def _tracks(
 
 
 def _rounded(seen: Seen) -> Seen:
-    """Times in whole hundredths of a second."""
     tracks = [replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in seen.cameras]
     return replace(seen, cameras=tracks)
 
@@ -117,13 +114,11 @@ def _wandering() -> Seen:
 
 
 def _round(seed: int) -> tuple[Scene, Scene]:
-    """One flight and where cameras 2 and 3 stand."""
     first, second = (make_scene(seed, angle, 4.0) for angle in (50.0, 110.0))
     return first, second
 
 
 def _three(seed: int, share: float = 1.0) -> list[Any]:
-    """Events of one flight in three views."""
     first, second = _round(seed)
     one, two = make_events(first, seed, T_D_S, RATE_HZ * share, SIZE_M)
     return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ * share, SIZE_M)[1]]

@@ -18,9 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.render
-def test_the_tour_runs_and_finds_what_it_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # What is tried of a recording that gives nothing takes long, and has tests of its own.
     monkeypatch.setattr(retries, "lies_elsewhere", lambda *_: False)
@@ -68,7 +66,7 @@ def test_the_readme_shows_what_its_commands_and_its_python_print(tmp_path, monke
     exec(code, {})
     summary, _, last_line = capsys.readouterr().out.rpartition("\nok ")
     assert last_line.startswith("0.0")
-    # `ssac sync` prints the summary too: see tests/ssac/pipeline/test_api.py.
+    # `ssac sync` prints the summary too: see tests/test_one_answer.py.
     printed = f"$ {example.SIMULATE}\n{simulated}$ {example.SYNC}\n{summary}"
     # Digits depend on the GL library, so only the words are compared.
     assert _words(example.shown_in(readme)) == _words(printed), "run docs/example.py"

@@ -1,7 +1,7 @@
 """ROS bags of events and points, which the library rosbags writes."""
 
 import shutil
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -58,37 +58,32 @@ def write_bag(path, topics):
 
 
 def arrays(events, package="dvs_msgs"):
-    """Messages of a list of events each."""
+    def fields(some, types):
+        event, time = types.types[f"{package}/msg/Event"], _time(types)
+        listed = [event(x, y, time(t), bool(p)) for t, x, y, p in some.tolist()]
+        return {"height": HEIGHT, "width": WIDTH, "events": listed}
 
-    def fields(some):
-        def made(types):
-            event, time = types.types[f"{package}/msg/Event"], _time(types)
-            listed = [event(x, y, time(t), bool(p)) for t, x, y, p in some.tolist()]
-            return {"height": HEIGHT, "width": WIDTH, "events": listed}
-
-        return made
-
-    return f"{package}/msg/EventArray", [(some["t"][0], fields(some)) for some in parts(events)]
+    messages = [(some["t"][0], partial(fields, some)) for some in parts(events)]
+    return f"{package}/msg/EventArray", messages
 
 
 def packets(encoding, data, is_bigendian=False):
     """Messages of encoded events; of each the time [us] that it counts from, and its bytes."""
 
-    def fields(t_us, some):
-        return lambda types: {
+    def fields(t_us, some, types):
+        return {
             "height": HEIGHT, "width": WIDTH, "seq": 7, "time_base": int(t_us) * 1000,
             "encoding": encoding, "is_bigendian": is_bigendian,
             "events": np.frombuffer(some, np.uint8),
         }  # fmt: skip
 
-    return PACKETS, [(t_us, fields(t_us, some)) for t_us, some in data]
+    return PACKETS, [(t_us, partial(fields, t_us, some)) for t_us, some in data]
 
 
 def mono(events, order="<"):
     data = []
     for some in parts(events):
-        columns = (some[name].astype(np.uint64) for name in "txyp")
-        t, x, y, p = columns
+        t, x, y, p = (some[name].astype(np.uint64) for name in "txyp")
         since_ns = (t - t[0]) * np.uint64(1000)
         words = p << np.uint64(63) | y << np.uint64(48) | x << np.uint64(32) | since_ns
         data.append((int(some["t"][0]), words.astype(f"{order}u8").tobytes()))
@@ -96,13 +91,11 @@ def mono(events, order="<"):
 
 
 def points(track):
-    """Messages of a point each."""
-
-    def fields(x, y):
-        return lambda types: {"point": types.types["geometry_msgs/msg/Point"](x, y, 0.0)}
+    def fields(x, y, types):
+        return {"point": types.types["geometry_msgs/msg/Point"](x, y, 0.0)}
 
     rows = np.column_stack([track.times_s, track.points_px]).tolist()
-    return POINTS, [(1e6 * t_s, fields(x, y)) for t_s, x, y in rows]
+    return POINTS, [(1e6 * t_s, partial(fields, x, y)) for t_s, x, y in rows]
 
 
 def parts(events):

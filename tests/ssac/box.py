@@ -3,14 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.track.observation import Observation
+from tests.ssac.methods.flights import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, events_at, project, rotation_angle_deg
 
-CLEAN = Config(denoise=False)
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-T_D_S = 0.05
 
 
 def corners_m(scene, times_s, size_m):
@@ -23,7 +20,6 @@ def corners_m(scene, times_s, size_m):
 
 
 def in_view(points_m, scene, view):
-    """Points in the camera's own frame [m]."""
     return points_m @ scene.R.T + scene.t if view else points_m
 
 
@@ -45,10 +41,6 @@ def box_events(scene, seed, size_m=0.8, lopsided=0.0, scale=1):
         points_px, size = scale * project(points[in_front]), (scale * WIDTH, scale * HEIGHT)
         streams.append(events_at(times_s[in_front] + offset_s, points_px, size))
     return streams
-
-
-def observations(*streams):
-    return [Observation(events) for events in streams]
 
 
 def unit(v):

@@ -9,12 +9,10 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, events_at, make_events, m
 
 
 def merged(*parts: NDArray[np.void]) -> NDArray[np.void]:
-    """Merge events in order of time."""
     return np.asarray(mixed(*parts)[0])
 
 
 def pixel_events(x: int, y: int, n: int, duration_us: int = 1_000_000) -> NDArray[np.void]:
-    """Events of one pixel at random times."""
     t = np.sort(np.random.default_rng(x + 1000 * y).integers(0, duration_us, n))
     return events_from_arrays(t, np.full(n, x), np.full(n, y), np.ones(n, int))
 
@@ -33,7 +31,6 @@ def lamp(x: int, y: int, size_px: int, duration_us: int) -> NDArray[np.void]:
 
 
 def noise(width: int, height: int, hz: float, duration_us: int, seed: int = 0) -> NDArray[np.void]:
-    """Events of all pixels at random times."""
     rng = np.random.default_rng(seed)
     n = rng.poisson(1e-6 * hz * width * height * duration_us)
     t = np.sort(rng.integers(0, duration_us, n))

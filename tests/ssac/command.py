@@ -2,40 +2,30 @@
 
 import io
 import json
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 from ssac.cli.__main__ import main
+from ssac.screen import columns
 
 
 class Run(NamedTuple):
-    """What a command line gave."""
-
     exit_code: int
     stdout: str
     stderr: str
 
 
 def run(*args: object) -> Run:
+    """Run it as on a screen that is wide enough for every row."""
     out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    wide = patch.object(columns, "__defaults__", (sys.maxsize,))
+    with redirect_stdout(out), redirect_stderr(err), wide:
         code = main([*map(str, args)])
-    return Run(code, unfolded(out.getvalue()), unfolded(err.getvalue()))
-
-
-def unfolded(text: str) -> str:
-    """Join the lines of rows that were too long for a screen of 100 columns."""
-    rows, before = list[str](), ""
-    for line in text.splitlines():
-        word = line.split(maxsplit=1)[:1]
-        if word and line.startswith(6 * " ") and len(f"{before} {word[0]}") > 100:
-            rows[-1] += f" {line.strip()}"
-        else:
-            rows.append(line)
-        before = line
-    return "".join(f"{row}\n" for row in rows)
+    return Run(code, out.getvalue(), err.getvalue())
 
 
 run_sync = partial(run, "sync")

@@ -38,14 +38,12 @@ class Scene:
 
     @property
     def rig(self) -> Rig:
-        """The two cameras with their true extrinsics."""
         T_2_1 = np.eye(4)
         T_2_1[:3, :3], T_2_1[:3, 3] = self.R, self.t
         return Rig(CAMERA, self.cam2, T_2_1)
 
     @property
     def unknown_rig(self) -> Rig:
-        """The two cameras without their extrinsics."""
         return Rig(CAMERA, self.cam2)
 
 
@@ -122,7 +120,6 @@ def denoised(events: NDArray[np.void], camera: Camera = CAMERA) -> Clean:
 
 
 def angle_deg(a: Array, b: Array) -> float:
-    """Angle between two vectors."""
     cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 

@@ -1,8 +1,6 @@
 """What all stages share: events, cameras, clocks, estimates, and rules."""
 
 import ast
-import json
-import pickle
 from dataclasses import fields, is_dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -12,6 +10,7 @@ import pytest
 
 import ssac
 from experiments.lab.grid import configs_of
+from sim.scene.rig import Camera as SimulatedCamera
 from ssac import Chain, Config
 from ssac.camera import (
     MAX_ROUND_TRIP_PX,
@@ -151,29 +150,14 @@ def test_distorting_undoes_undistorting_and_the_other_way_round(model, coeffs):
         assert change(camera, np.empty((0, 2))).shape == (0, 2)
 
 
-def _kalibr_radtan(x, y, k1, k2, p1, p2):
-    r2 = x**2 + y**2
-    radial = 1 + k1 * r2 + k2 * r2**2
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
-        y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
-    )
-
-
-def _kalibr_equidistant(x, y, k1, k2, k3, k4):
-    r = np.hypot(x, y)
-    theta = np.arctan(r)
-    theta_d = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
-    return x * theta_d / r, y * theta_d / r
-
-
-@pytest.mark.parametrize(("lens", "formula"), [(1, _kalibr_radtan), (4, _kalibr_equidistant)])
-def test_the_models_are_kalibrs(lens, formula):
-    x, y = ((POINTS - K[:2, 2]) / (K[0, 0], K[1, 1])).T
-    expected = np.column_stack(formula(x, y, *LENSES[lens][1])) * (K[0, 0], K[1, 1]) + K[:2, 2]
-    measured = distort_points(_camera(*LENSES[lens]), POINTS)
+@pytest.mark.parametrize(("model", "coeffs"), [LENSES[1], LENSES[4]])
+def test_the_simulator_has_the_same_models(model, coeffs):
+    """It writes Kalibr's formulas out."""
+    simulated = SimulatedCamera("cam1", K, 346, 260, model, coeffs, np.eye(4), 0.0)
+    points_m = np.column_stack([POINTS, np.ones(len(POINTS))]) @ np.linalg.inv(K).T
+    measured = distort_points(_camera(model, coeffs), POINTS)
     # The same formula in another order of operations.
-    np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(measured, simulated.project(points_m), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("model", "coeffs"), LENSES)
@@ -277,11 +261,8 @@ BY_STAGE = (
 
 
 def test_a_status_is_its_word_with_a_sentence_in_the_order_of_the_stages():
-    assert Status.OK == "ok"
-    assert f"{Status.NO_MATCH}" == str(Status.NO_MATCH) == "no_match"
-    assert json.dumps([Status.NO_MATCH]) == '["no_match"]'
+    assert f"{Status.NO_MATCH}" == str(Status.NO_MATCH) == Status.NO_MATCH == "no_match"
     assert {"no_match": 1}[Status.NO_MATCH] == 1
-    assert pickle.loads(pickle.dumps(Status.NO_MATCH)) is Status.NO_MATCH
     assert len({status.meaning for status in Status}) == len(Status)
     for status in Status:
         assert status.value == status.name.lower()
@@ -333,7 +314,6 @@ def test_a_delay_moves_all_offsets_of_an_estimate():
 
 
 def rules_of(group, prefix=""):
-    """Names and values of all rules, dotted."""
     for one in fields(group):
         value = getattr(group, one.name)
         if is_dataclass(value):
@@ -346,7 +326,6 @@ RULES = dict(rules_of(Rules()))
 
 
 def other(value):
-    """Another value of the same type."""
     if isinstance(value, tuple):
         return tuple(map(other, value))
     return not value if isinstance(value, bool) else value + 1

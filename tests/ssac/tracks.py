@@ -13,15 +13,7 @@ NOISE_PX = 0.3  # of labels
 FPS = (30.0, 25.0)
 
 
-def frame_track(
-    scene: Scene,
-    camera: int,
-    fps: float,
-    offset_s: float = 0.0,
-    rate: float = 1.0,
-    readout_s: float = 0.0,
-    seed: int = 0,
-) -> PointTrack:
+def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=0) -> PointTrack:
     """Label each frame in which the object is in the image.
 
     The clock shows rate (t + offset) at the flight's time t; row y is exposed readout y / (h - 1)
@@ -41,9 +33,7 @@ def frame_track(
     return PointTrack((rate * (shown_s + offset_s))[inside], points[inside])
 
 
-def frame_tracks(
-    scene: Scene, t_d_s: float, rate: float = 1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)
-) -> list[PointTrack]:
+def frame_tracks(scene, t_d_s, rate=1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)) -> list[PointTrack]:
     """Two cameras' tracks of one flight; camera 2's clock shows rate (t + t_d)."""
     one, other = readouts_s
     return [
@@ -65,7 +55,6 @@ def rig_document(**keys) -> dict:
 
 
 def save_pair(folder: Path, scene: Scene, t_d_s: float, readout_s: float = 0.0) -> Path:
-    """Write two tracks and their rig."""
     for k, track in enumerate(frame_tracks(scene, t_d_s, readouts_s=(readout_s, 0.0)), start=1):
         save_track(folder / f"cam{k}.csv", track)
     document = rig_document()

@@ -68,7 +68,6 @@ def ssac(*args: str) -> int:
 
 
 def helped(capsys, *args: str) -> str:
-    """Give the help that is shown, on one line."""
     assert ssac(*args) == DONE
     return " ".join(capsys.readouterr().out.split())
 
@@ -382,7 +381,6 @@ def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body
     (tmp_path / "slow.py").write_text(SLEEP.format(""))
     body = f"    sys.path.insert(0, {str(tmp_path)!r})\n{body}"
     process = guarded_process(body, stdout=subprocess.PIPE)
-    assert process.stdout is not None
     assert process.stdout.readline() == b"here\n"
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=30) == (said, b"interrupted\n")

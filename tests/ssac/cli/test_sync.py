@@ -29,7 +29,6 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_
 from tests.ssac.tracks import save_pair
 
 TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
-KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples", "d_avg_px"}
 
 
 def answered(folder, *args):
@@ -48,7 +47,6 @@ def joint_run(recorded):
 
 def test_the_offset_is_found_results_are_on_stdout_and_progress_on_stderr(joint_run):
     result, found, synced = joint_run
-    assert set(found) >= KEYS
     assert "the outline does not close" in found["note"]  # of a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
@@ -72,9 +70,6 @@ def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorde
     assert all(np.array_equal(before[field], after[field]) for field in "xyp")
 
 
-NAMES = dict.fromkeys(("cam1", "cam2"))
-
-
 def test_bags_give_what_the_files_give_that_they_were_made_of(recorded, tmp_path):
     bag = tmp_path / "flight.bag"
     cam1, cam2 = (load_events(path).events[:50_000] for path in recorded.pair)
@@ -90,7 +85,8 @@ def test_bags_give_what_the_files_give_that_they_were_made_of(recorded, tmp_path
         (bag / "cam1/events", bag / "cam2/events"),
         (files[0], bag / "cam2/events"),
     )
-    found = [answered(tmp_path, *cameras, *args)[1] | NAMES for cameras in forms]
+    unnamed = {"cam1": "", "cam2": ""}
+    found = [answered(tmp_path, *cameras, *args)[1] | unnamed for cameras in forms]
     assert found[1:] == found[:1] * 4
 
 
@@ -176,7 +172,6 @@ WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
-    """A folder of two tracks and their rig."""
     return save_pair(tmp_path_factory.mktemp("tracks"), SCENE, TRACKS_S)
 
 

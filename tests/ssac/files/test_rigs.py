@@ -183,21 +183,20 @@ def _write_opencv(path, coeffs=FIVE, **more):
 POSE = {"R": R, "T": T[:, None]}
 
 
-@pytest.mark.parametrize("letter", "KM")
-def test_opencv_stereo(tmp_path, letter):
-    path = _write_opencv(tmp_path / "stereo.yml", **POSE)
+@pytest.mark.parametrize(
+    ("letter", "coeffs", "model", "more", "T_2_1"),
+    [
+        *((letter, tuple(FIVE), "radtan", POSE, T_2_1) for letter in "KM"),
+        ("K", COEFFS, "equidistant", {"distortion_model": "equidistant"}, None),
+    ],
+)
+def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
+    path = _write_opencv(tmp_path / "stereo.yaml", coeffs, **more)
     path.write_text(re.sub(r"^K(?=\d:)", letter, path.read_text(), flags=re.MULTILINE))
     rig = load_rig(path)
     for camera in (rig.cam1, rig.cam2):
-        assert same_camera(camera, Camera(K, 346, 260, "radtan", tuple(FIVE)))
+        assert same_camera(camera, Camera(K, 346, 260, model, coeffs))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
-
-
-def test_opencv_fisheye_without_a_pose(tmp_path):
-    path = tmp_path / "stereo.yaml"
-    rig = load_rig(_write_opencv(path, COEFFS, distortion_model="equidistant"))
-    assert same_camera(rig.cam2, Camera(K, 346, 260, "equidistant", COEFFS))
-    assert rig.T_2_1 is None
 
 
 @pytest.mark.parametrize(

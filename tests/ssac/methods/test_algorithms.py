@@ -79,8 +79,6 @@ def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
 
 # --- Compared methods ---
 
-RIG = Rig(CAMERA, CAMERA)
-
 
 @pytest.fixture(scope="module")
 def flickering():
@@ -125,7 +123,8 @@ def test_what_is_compared_of_frames_is_their_mean():
         means = correlations.frame_means(frames).reshape(-1, 1, 1)
         forms = frames, frames.astype(np.float64), means
         cameras.append([Observation(nothing, form, times_s) for form in forms])
-    whole, floating, means = (zncc_f(*pair, RIG) for pair in zip(*cameras, strict=True))
+    rig = Rig(CAMERA, CAMERA)
+    whole, floating, means = (zncc_f(*pair, rig) for pair in zip(*cameras, strict=True))
     assert np.isfinite(whole.costs).sum() > 40
     # Sums of whole numbers are exact. NaN where less than half overlaps.
     assert np.array_equal(whole.costs, floating.costs, equal_nan=True)

@@ -58,14 +58,11 @@ def white_views(
 ):
     """Both views of a flight; camera 2 shows a clock, and its points are off by a bias downward."""
 
-    def noise_of(view):
-        def noise(shape):
-            drawn = np.random.default_rng((seed, view)).normal(0.0, sigma_px, (*shape, 2))
-            return drawn + np.array([0.0, bias_px * view])
+    def noise(view, shape):
+        drawn = np.random.default_rng((seed, view)).normal(0.0, sigma_px, (*shape, 2))
+        return drawn + np.array([0.0, bias_px * view])
 
-        return noise
-
-    motions = [WhiteMotion(scene, k, (Clock(), shown)[k], noise_of(k)) for k in (0, 1)]
+    motions = [WhiteMotion(scene, k, (Clock(), shown)[k], partial(noise, k)) for k in (0, 1)]
     motions[1].jump = jump or motions[1].jump
     return TwoViews(*motions, scene.rig, Config(denoise=False, **options), known)
 

@@ -4,7 +4,7 @@ The cameras of the laws are unlike in focal lengths, centre, lens and size, so t
 the other.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from ssac import Chain, Config, Observation
 from ssac.camera import Rig
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.pipeline.registry import METHODS, OURS, Input
+from tests.answers import assert_same
 from tests.ssac.methods import flights
 from tests.ssac.methods.flights import DURATION_S, T_D_S, found, scene_of, seen
 from tests.ssac.synthetic import OTHER, angle_deg, make_events, make_scene, rotation_angle_deg
@@ -62,13 +63,6 @@ def assert_near(estimate, t_d_s, R, t, within):
     assert estimate.t_d_s == pytest.approx(t_d_s, abs=within[0])
     assert rotation_angle_deg(estimate.R, R) <= within[1] + 1e-5  # rounding of an arc cosine
     assert angle_deg(estimate.t, t) <= within[2]
-
-
-def assert_same(one, other):
-    for field in fields(one):
-        if field.compare:
-            ours, theirs = getattr(one, field.name), getattr(other, field.name)
-            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -39,7 +39,7 @@ from tests.ssac.synthetic import CAMERA, FOCAL_PX, K, make_scene
 
 SCENE = synthetic.make_scene(0, duration_s=6.0)
 STREAMS = box.box_events(SCENE, 0)
-VIEWS = two_views(*box.observations(*STREAMS), SCENE.unknown_rig, CLEAN)
+VIEWS = two_views(*STREAMS, SCENE.unknown_rig, CLEAN)
 START = box.off_the_truth(SCENE)
 TRUTH = replace(START, t_d_s=T_D_S, R=SCENE.R, t=box.unit(SCENE.t))
 
@@ -60,7 +60,7 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     scene = synthetic.make_scene(0, duration_s=8.0)
     streams = box.box_events(scene, 0, 0.4)
     blinded = [without_frames(*one) for one in zip(streams, (3_000, 33_000), strict=True)]
-    views = two_views(*box.observations(*blinded), scene.rig, CLEAN)
+    views = two_views(*blinded, scene.rig, CLEAN)
     assert all(len(spans_us) > 150 for spans_us in views.alone.blind_us)  # of 200
     estimate = refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
@@ -98,7 +98,7 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
     scene = synthetic.make_scene(1, duration_s=8.0)
-    cameras = box.observations(*box.box_events(scene, 1, size_m, lopsided=3.0))
+    cameras = box.box_events(scene, 1, size_m, lopsided=3.0)
     # Whether means so biased are a start at all is for `joint` to say.
     found = refine_tangents(box.off_the_truth(scene), two_views(*cameras, scene.rig, CLEAN))
     assert found.status == "ok"
@@ -110,7 +110,6 @@ def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
 
 
 def test_neither_the_start_nor_sparse_samples_matter():
-    """Not even a start that puts the object behind the cameras."""
     one, other = refine_tangents(TRUTH, VIEWS), tangents_alone()
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
     assert synthetic.rotation_angle_deg(one.R, other.R) < 0.03
@@ -126,10 +125,8 @@ def test_neither_the_start_nor_sparse_samples_matter():
 
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
     """Bug: what the last round had reached was "ok"."""
-    once, known = (
-        VIEWS.by(tangency=TangencyConfig(max_rounds=1)),
-        replace(VIEWS, pose_is_known=True),
-    )
+    once = VIEWS.by(tangency=TangencyConfig(max_rounds=1))
+    known = replace(VIEWS, pose_is_known=True)
     for start, views, status, words in (
         (replace(TRUTH, t_d_s=100.0), VIEWS, "too_few_samples", "only 0 tangents"),
         (replace(TRUTH, t_d_s=T_D_S + 0.12), known, "no_convergence", "further than 100 ms"),
@@ -169,7 +166,7 @@ def test_tangents_touch_the_outermost_corners(scale):
     K = np.diag([scale, scale, 1.0]) @ synthetic.K
     camera = Camera(K, scale * synthetic.WIDTH, scale * synthetic.HEIGHT)
     streams = box.box_events(scene, 0, size_m=0.5, scale=scale)
-    views = two_views(*box.observations(*streams), Rig(camera, camera), CLEAN)
+    views = two_views(*streams, Rig(camera, camera), CLEAN)
     times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
     for view, pencil in enumerate(pencils(scene.R, box.unit(scene.t), K, K)):
         motion, shown_s = (views.motion1, views.motion2)[view], times_s + view * T_D_S
@@ -278,10 +275,9 @@ def test_blurred_tangents_count_less():
     np.testing.assert_allclose(weights[:n] / weights[n:], expected, rtol=1e-12)
 
 
-FLIGHT = make_scene(1, duration_s=5.0)
-
 # --- One point of a body ---
 
+FLIGHT = make_scene(1, duration_s=5.0)
 TIMES_S = np.arange(0.5, 4.5, 0.025)
 R_OFF, T_OFF = moved_pose(
     FLIGHT.R, box.unit(FLIGHT.t), np.array([0.003, -0.004, 0.002, 0.003, 0.002])

@@ -15,8 +15,9 @@ from ssac.methods.verdict import certain, doubt, less_sure, offset_estimate
 from ssac.rules import RetryRules, Rules
 from ssac.search.offset_search import OffsetSearch
 from ssac.track.observation import tracked
-from tests.ssac.box import CLEAN, T_D_S, box_events, observations
+from tests.ssac.box import box_events
 from tests.ssac.methods import flights
+from tests.ssac.methods.flights import CLEAN, T_D_S
 from tests.ssac.synthetic import make_events, make_scene
 from tests.ssac.tracks import frame_track
 
@@ -28,16 +29,9 @@ def normal(spread_px):
     return np.random.default_rng(0).normal(0.0, spread_px, 2000)
 
 
-def one_in_ten_far_out():
-    distances_px = normal(0.3)
-    distances_px[::10] += 15.0  # where another object pulls the positions away
-    return distances_px
-
-
-def long_tailed():
-    """As a thin tip leaves them that is missed in one view."""
-    some = np.random.default_rng(1).standard_cauchy(2000)
-    return 0.02 * np.clip(some, -40.0, 40.0)
+# Where another object pulls the positions away, and as a thin tip leaves them that one view misses.
+ONE_IN_TEN_FAR_OUT = normal(0.3) + np.where(np.arange(2000) % 10 == 0, 15.0, 0.0)
+LONG_TAILED = 0.02 * np.clip(np.random.default_rng(1).standard_cauchy(2000), -40.0, 40.0)
 
 
 @pytest.mark.parametrize(
@@ -59,10 +53,10 @@ def test_a_bound_is_of_the_interval_or_of_what_recordings_have_in_common(tried_s
         (normal(0.0), OBJECT_PX, 0.0, ""),
         (normal(0.01), OBJECT_PX, 0.0, ""),
         (normal(1.1), OBJECT_PX, 0.0, ""),  # 0.12 of the size are 1.2 px
-        (long_tailed(), OBJECT_PX, 0.0, ""),
+        (LONG_TAILED, OBJECT_PX, 0.0, ""),
         (normal(1.4), OBJECT_PX, 0.0, "far for an object of 10.0 px rms"),
         (normal(1.1), 0.5 * OBJECT_PX, 0.0, "far for an object of 5.0 px rms"),
-        (one_in_ten_far_out(), OBJECT_PX, 0.0, "something else moves in view"),
+        (ONE_IN_TEN_FAR_OUT, OBJECT_PX, 0.0, "something else moves in view"),
         (normal(0.3), OBJECT_PX, 3.9, ""),
         (normal(0.3), OBJECT_PX, 4.1, "from the rig's; calibrate again"),
     ],
@@ -204,7 +198,7 @@ def test_positions_settle_what_the_table_names_of_a_search(status):
 
 @pytest.fixture(scope="module")
 def views():
-    return two_views(*observations(*box_events(SCENE, 0)), SCENE.unknown_rig, CLEAN)
+    return two_views(*box_events(SCENE, 0), SCENE.unknown_rig, CLEAN)
 
 
 @pytest.mark.parametrize("status", REFUSALS)

@@ -32,8 +32,7 @@ class Flight:
     """Cameras round a flight, and what is true of them."""
 
     seen: list[Sightings]
-    delays_s: np.ndarray  # (c,) each clock shows so much more than the first
-    skews_ppm: np.ndarray  # (c,)
+    clocks: list[Clock]  # from the first's time to that of each
     poses: list[tuple[np.ndarray, np.ndarray]]  # x_k = R X + t, X in the first camera's frame
     path: BSpline  # in the first camera's frame and on its clock [m]
 
@@ -49,7 +48,8 @@ class Flight:
         t = t_b - R @ t_a
         if rng is not None:
             R = Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix() @ R
-        clock = Clock(self.delays_s[b] - self.delays_s[a] + off_s, 0.0, 8.0 + self.delays_s[a])
+        delay_a_s, delay_b_s = self.clocks[a].t_d_s, self.clocks[b].t_d_s
+        clock = Clock(delay_b_s - delay_a_s + off_s, 0.0, 8.0 + delay_a_s)
         return Link(clock, True, 0.003, R, t / np.linalg.norm(t))
 
     def links(self, seed: int = 0) -> dict[Pair, Link]:
@@ -60,12 +60,7 @@ class Flight:
 
     def shown_s(self, k: int, time_s: float) -> float:
         """What camera k's clock shows more than the first's."""
-        return float(self.delays_s[k] + 1e-6 * self.skews_ppm[k] * (time_s - 8.0))
-
-    def own_s(self, k: int, shown_s: np.ndarray) -> np.ndarray:
-        """The first clock's times, of what camera k's shows."""
-        times_s = shown_s - self.delays_s[k]
-        return times_s - 1e-6 * self.skews_ppm[k] * (times_s - 8.0)
+        return float(self.clocks[k].cam2_from_cam1(time_s) - time_s)
 
     @property
     def distance_m(self) -> float:
@@ -99,6 +94,7 @@ def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -
     path = BSpline(knots_s, spread @ R_1.T + t_1, 5)
     delays_s = np.concatenate([[0.0], rng.uniform(-30.0, 30.0, n_cameras - 1)])
     skews_ppm = np.concatenate([[0.0], rng.normal(0.0, 30.0, n_cameras - 1)])
+    clocks = [Clock(*of_one, 8.0) for of_one in zip(delays_s, skews_ppm, strict=True)]
     noise = np.random.default_rng([seed, 7])
     seen = []
     for k, (R, t) in enumerate(poses):
@@ -106,7 +102,6 @@ def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -
         pixels = project(path(times_s) @ R.T + t, CAMERA.K)
         pixels += noise.normal(0.0, noise_px, pixels.shape)
         inside = np.all((pixels > 0.0) & (pixels < [959.0, 599.0]), axis=1)
-        shown_s = times_s + delays_s[k] + 1e-6 * skews_ppm[k] * (times_s - 8.0)
-        track = PointTrack(shown_s[inside], pixels[inside])
+        track = PointTrack(clocks[k].cam2_from_cam1(times_s)[inside], pixels[inside])
         seen.append(seen_by(track, f"cam{k + 1}"))
-    return Flight(seen, delays_s, skews_ppm, poses, path)
+    return Flight(seen, clocks, poses, path)

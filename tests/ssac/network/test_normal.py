@@ -96,7 +96,7 @@ def test_a_piece_of_a_clock_reaches_as_far_in_a_long_flight_as_in_a_short_one() 
 def test_derivatives_are_those_of_differences() -> None:
     flight = make_flight(2)
     seen = flight.seen[1]
-    state = CameraState(flight.delays_s[1], 1e-4, seen.middle_s, 0.0, *flight.poses[1])
+    state = CameraState(flight.clocks[1].t_d_s, 1e-4, seen.middle_s, 0.0, *flight.poses[1])
     state = with_strays(state, seen, 4.0, 10)
     state = replace(state, focal=np.array([0.01, -0.01]), strays_s=np.linspace(0.0, 0.01, 5))
 

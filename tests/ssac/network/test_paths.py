@@ -234,7 +234,6 @@ NOISE_M = 0.03
 
 
 def pair(noise_m=NOISE_M, span_s=(10.0, 90.0)):
-    """An estimate over `span_s`, and the truth without noise."""
     return both(100.0, 7, CLOCK, span_s, rate_hz=20.0, noise_m=noise_m, truth_m=0.0)
 
 

@@ -34,7 +34,7 @@ def seen_as(flight: Flight, change, has_frames: bool = False) -> Flight:
     """The same flight, with points and more that a function makes of its own times [s]."""
     seen = []
     for k, one in enumerate(flight.seen):
-        points_px, more = change(k, flight.own_s(k, one.times_s))
+        points_px, more = change(k, flight.clocks[k].cam1_from_cam2(one.times_s))
         track = PointTrack(one.times_s, one.points_px + points_px)
         seen.append(seen_by(track, one.name, has_frames, **more))
     return replace(flight, seen=seen)
@@ -152,7 +152,7 @@ def test_a_path_that_leaves_clocks_open_is_no_crash_and_no_answer(speed_m_s) -> 
     for k, (R, t) in enumerate(flight.poses):
         times_s = np.arange(0.3, 15.7, 0.05) + 0.013 * k
         path = middle + np.outer(times_s - 8.0, speed_m_s * np.array([1.0, 0.3, 0.6]))
-        track = PointTrack(times_s + flight.delays_s[k], project(path @ R.T + t, CAMERA.K))
+        track = PointTrack(times_s + flight.clocks[k].t_d_s, project(path @ R.T + t, CAMERA.K))
         seen.append(seen_by(track, f"cam{k + 1}", True))
     answer = replace(flight, seen=seen).solved()
     # Rounding decides whether a normal matrix without noise is singular, or nearly so.
@@ -254,7 +254,8 @@ def true_pair(flight, a, b, turn_rad=0.0):
     """What a pair without errors tells, or with a turn."""
     link = flight.link(a, b)
     R = Rotation.from_rotvec([0.0, turn_rad, 0.0]).as_matrix() @ link.R
-    clock = replace(link.clock, skew_ppm=flight.skews_ppm[b] - flight.skews_ppm[a])
+    skew_ppm = flight.clocks[b].skew_ppm - flight.clocks[a].skew_ppm
+    clock = replace(link.clock, skew_ppm=skew_ppm)
     return replace(link, clock=clock, R=R, factor=np.diag(DEVIATIONS))
 
 

@@ -23,8 +23,7 @@ from ssac.pipeline.opened import Known, opened, opened_rig
 from ssac.pipeline.report import report_rows
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
-from tests.answers import differences, fields_of
-from tests.ssac.command import run
+from tests.answers import assert_same
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene
 from tests.ssac.tracks import frame_track, rig_document
 
@@ -50,10 +49,6 @@ def files(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def result(files):
     return ssac.sync(files / "cam1.h5", files / "cam2.h5", files / "rig.yaml")
-
-
-def assert_same(one: Estimate, other: Estimate) -> None:
-    assert list(differences(fields_of(one), fields_of(other))) == []
 
 
 # --- Every kind of input is opened as the same ---
@@ -148,13 +143,6 @@ def test_a_result_has_what_the_estimate_has(result):
         result.t_d_ms  # noqa: B018
 
 
-def test_a_result_says_what_the_command_line_prints(files, result):
-    code, text, err = run("sync", files / "cam1.h5", files / "cam2.h5", "--rig", files / "rig.yaml")
-    assert code == 0, err
-    assert result.summary().split() == text.split()  # whose lines are folded
-    assert result.note == result.to_dict()["note"]
-
-
 def test_a_result_shows_itself_and_can_be_pickled_and_copied(result):
     assert repr(result).startswith("<ssac.Result tangency ok, t_d 49.")
     assert len(repr(result)) < 80
@@ -178,12 +166,17 @@ ONE, OTHER = EVENTS
 A_CAMERA = "expected a file, a structured array of events with the fields t, x, y and p, a ssac.Obs"
 BAD_K = [3.0, None, np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
 POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
+UNEQUAL = [((9, 2),), ((10, 3),), ((10, 2), (9,))]  # shapes of points and deviations
 WRONG = {
     "an int": ((1, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got int 1$"),
     "no camera 2": ((ONE, None, RIG), rf"^camera 2: {A_CAMERA}.* got NoneType None$"),
     "a dict": (({name: ONE[name] for name in "txyp"}, OTHER, RIG), "^camera 1: .* got dict$"),
     "no fields": ((np.zeros((5, 4)), OTHER, RIG), r"^camera 1: .*without t, x, y, p: build it"),
     "not sorted": ((ONE[::-1], OTHER, RIG), "^camera 1: events must be sorted by time"),
+    "not sorted, with a name": (
+        (Observation(ONE[::-1], name="left.h5"), OTHER, RIG),
+        r"^left\.h5: events must be sorted",
+    ),
     "one event": ((ONE[0], OTHER, RIG), "^camera 1: expected a file.* got void"),
     "a list of events": (
         ([(1, 2, 3, 4)], OTHER, RIG),
@@ -226,6 +219,9 @@ for k, bad in enumerate(BAD_K):
     WRONG[f"K {k}"] = ((ONE, OTHER, [CAMERA, Camera(bad, WIDTH, HEIGHT)]), "^camera 2: .*got")
 for k, bad in enumerate(POSES):
     WRONG[f"pose {k}"] = ((ONE, OTHER, Rig(CAMERA, CAMERA, bad)), "^the rig, .*: expected a")
+for k, bad in enumerate(UNEQUAL):  # Bug: they reached NumPy, which could not broadcast them
+    track = PointTrack(0.1 * np.arange(10), *map(np.ones, bad))
+    WRONG[f"track {k}"] = ((track, OTHER, RIG), "^camera 1: a track of 10 times must have points")
 
 OPTIONS = {
     "n_sample": (3, "^n_sample: is no argument of sync and no field of .*: did you mean n_samples"),
@@ -302,14 +298,7 @@ def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
             Known(**fields)
 
 
-@pytest.mark.parametrize("name", ssac.__all__)
-def test_a_public_name_is_what_its_module_defines(name: str) -> None:
-    value = getattr(ssac, name)
-    assert getattr(value, "__name__", name) == name
-    assert name in dir(ssac)
-
-
-def test_the_public_names_are_these() -> None:
+def test_the_public_names_are_these_and_each_is_what_its_module_defines() -> None:
     types = (
         "Answer Camera Cameras Chain Clock ClockJump Config EVENT_DTYPE Estimate EventFile Input"
         " Known Method NetworkResult ObjectMotion Observation Pairs PairsAt PluginError PointTrack"
@@ -320,7 +309,9 @@ def test_the_public_names_are_these() -> None:
         "binned checked correlation_estimate counted lags_of load_events load_rig load_track sync"
         " two_views usable_events zncc"
     )
-    assert set(ssac.__all__) == {*types.split(), *methods.split(), *others.split()}
+    names = {*types.split(), *methods.split(), *others.split()}
+    assert set(ssac.__all__) == names <= set(dir(ssac))
+    assert {getattr(getattr(ssac, name), "__name__", name) for name in names} == names
 
 
 def test_functions_of_methods_have_their_types() -> None:

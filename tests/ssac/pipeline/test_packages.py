@@ -48,7 +48,6 @@ def estimate(cam1, cam2, rig, config=None):
 
 @pytest.fixture(scope="module")
 def chain():
-    """Two cameras of a rig whose extrinsics are known."""
     scene = make_scene(0, duration_s=3.0)
     seen = map(Observation, make_events(scene, 0, rate_hz=8000.0, size_m=0.4))
     return Chain([*seen], scene.rig)

@@ -1,7 +1,7 @@
 """Laws of all our methods, how they are listed and chosen, and that they share what they can."""
 
 from collections import Counter
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -15,6 +15,7 @@ from ssac.estimate import Status
 from ssac.methods.method import all_summaries, our_methods
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS, Input, choose_method
 from ssac.track.clean import clean
+from tests.answers import assert_same
 from tests.ssac.cluttered import noisy_flight
 from tests.ssac.synthetic import CAMERA, angle_deg, make_scene, rotation_angle_deg
 
@@ -43,13 +44,6 @@ def raw():
 @pytest.fixture(scope="module")
 def chain(raw):
     return Chain(raw, RIG)
-
-
-def assert_equal(estimate, expected):
-    for field in fields(expected):
-        if field.compare:  # the start is compared as the method that it is of
-            ours, theirs = getattr(estimate, field.name), getattr(expected, field.name)
-            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)  # the same arithmetic
 
 
 def test_what_a_method_lacks_is_said(raw):
@@ -82,7 +76,7 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, raw, chain)
     searched, delayed = (Config(interval_s=(-0.4 + by_s, 0.5 + by_s)) for by_s in (0.0, delay_s))
     estimate = Chain([raw[0], raw[1].delayed(delay_s)], RIG, delayed).estimate(name)
     # To the last bit, though all that is found of the same events is at hand to be misused.
-    assert_equal(chain.under(delayed).delayed(delay_s).estimate(name), estimate)
+    assert_same(chain.under(delayed).delayed(delay_s).estimate(name), estimate)
     if not METHODS[name].follows_clock:
         return
     expected = chain.under(searched).estimate(name).delayed(delay_s)
@@ -194,7 +188,7 @@ def test_a_method_changes_no_input_and_gives_the_same_for_what_is_clean(name, ra
     expected = chain.estimate(name)
     assert (expected.status, expected.method) == ("ok", name)
     cleaned = [clean(seen, CAMERA, Config().cleaning) for seen in raw]
-    assert_equal(getattr(ssac, name.replace("-", "_"))(*cleaned, RIG), expected)
+    assert_same(getattr(ssac, name.replace("-", "_"))(*cleaned, RIG), expected)
     for seen, kept in zip(raw, before, strict=True):
         np.testing.assert_array_equal(seen.events, kept)
 
@@ -238,7 +232,7 @@ def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw,
     calls.clear()
     found = chain.under(config).estimate("joint")
     assert +calls == Counter(expected)
-    assert_equal(found, Chain(raw, RIG, config).estimate("joint"))
+    assert_same(found, Chain(raw, RIG, config).estimate("joint"))
 
 
 def test_what_was_never_asked_for_need_not_be_usable(raw):

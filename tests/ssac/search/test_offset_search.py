@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import two_views
 from ssac.config import Config
-from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.points import PointTrack
 from ssac.rules import AllOffsetsRules, PointRules, SearchRules
@@ -17,7 +15,6 @@ from ssac.search.start import large_jump
 from ssac.search.two_views import TwoViews
 from ssac.search.view import seen_by_both, seen_of
 from ssac.track.motion import object_motion, point_motion
-from ssac.track.observation import tracked
 from tests.ssac.synthetic import CAMERA, K, make_events, make_scene
 from tests.ssac.tracks import frame_track, frame_tracks
 
@@ -64,15 +61,6 @@ def test_sample_times_cover_the_overlap(t_d_s, start_s, end_s, views):
     assert len(views.sample_times(np.array([t_d_s]))[0]) == Config.n_samples
 
 
-@pytest.mark.parametrize(("points", "sigmas"), [((9, 2), None), ((10, 3), None), ((10, 2), (9,))])
-def test_a_track_of_unequal_lengths_is_refused(points, sigmas):
-    """Bug: it reached NumPy, which could not broadcast it."""
-    times_s = 0.1 * np.arange(10)
-    track = PointTrack(times_s, np.ones(points), None if sigmas is None else np.ones(sigmas))
-    with pytest.raises(SsacError, match=r"camera 1: a track of 10 times must have points of shape"):
-        two_views(tracked(track), tracked(track), SCENE.rig)
-
-
 def searched(cost, offsets_s=OFFSETS_S, coarsest=20, returns_s=None):
     return offset_search.coarse_to_fine_search(cost, cost, offsets_s, coarsest, RULES, returns_s)
 
@@ -87,21 +75,13 @@ def rounded_v(centre_s, widest_px=13.0):
     return cost
 
 
-def one_sided(t_d_s):
-    """A valley of which one side ends 10 ms from its bottom."""
-    return np.where(t_d_s > 0.21, 1.4, rounded_v(0.2)(t_d_s))
-
-
-def unknown_below_0(t_d_s):
-    return np.where(t_d_s < 0.0, np.nan, rounded_v(0.2)(t_d_s))
-
-
 @pytest.mark.parametrize(
     ("cost", "least_s"),
     [
         *((rounded_v(centre_s), centre_s) for centre_s in (-0.4321, 0.0, 0.00037, 0.777)),
-        (one_sided, 0.2),  # a parabola to 20 ms, not 6, is drawn to the flat side
-        (unknown_below_0, 0.2),
+        # Of one side that ends 10 ms off: a parabola to 20 ms, not 6, is drawn to the flat side.
+        (lambda t_d_s: np.where(t_d_s > 0.21, 1.4, rounded_v(0.2)(t_d_s)), 0.2),
+        (lambda t_d_s: np.where(t_d_s < 0.0, np.nan, rounded_v(0.2)(t_d_s)), 0.2),
     ],
 )
 def test_the_minimum_is_found_between_candidates_of_which_a_tenth_are_tried(cost, least_s):
@@ -134,11 +114,8 @@ def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
 
 def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
     """Bug: it fell over where a path repeats itself, and too few samples are valid a lag away."""
-
-    def cost(t_d_s):
-        return np.where(t_d_s > 0.45, np.nan, rounded_v(0.2)(t_d_s))
-
-    found = searched(cost, returns_s=np.array([0.4]))
+    valley = rounded_v(0.2)
+    found = searched(lambda t: np.where(t > 0.45, np.nan, valley(t)), returns_s=np.array([0.4]))
     assert found.t_d_s == pytest.approx(0.2, abs=5e-6)
     assert len(offset_search.valleys(found.candidates_s, found.d_avg_px, found.t_d_s, RULES)) == 1
 
@@ -190,15 +167,13 @@ def test_any_offset_is_found_among_all_and_no_other_comes_near(offset_s):
 
 def views_with_jump(at_s, size_s, last_s=(np.inf, np.inf), other=1):
     """Two tracks of 20 s, of which camera 2's clock jumps at a time of camera 1's."""
-    one, other = frame_tracks(make_scene(1), T_D_S)[0], frame_tracks(make_scene(other), T_D_S)[1]
-    times_s = other.times_s + size_s * (other.times_s >= at_s + T_D_S)
-    tracks = one, PointTrack(times_s, other.points_px)
-    kept = [track.times_s < end_s for track, end_s in zip(tracks, last_s, strict=True)]
-    cut = (
-        PointTrack(track.times_s[some], track.points_px[some])
-        for track, some in zip(tracks, kept, strict=True)
-    )
-    return TwoViews(*map(of_points, cut), SCENE.rig, Config())
+    views = []
+    for k, (seed, end_s) in enumerate(zip((1, other), last_s, strict=True)):
+        track = frame_tracks(make_scene(seed), T_D_S)[k]
+        times_s = track.times_s + k * size_s * (track.times_s >= at_s + T_D_S)
+        kept = times_s < end_s
+        views.append(of_points(PointTrack(times_s[kept], track.points_px[kept])))
+    return TwoViews(*views, SCENE.rig, Config())
 
 
 @pytest.mark.parametrize(

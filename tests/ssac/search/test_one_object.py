@@ -8,13 +8,13 @@ import pytest
 from ssac import Chain, Config, Status, joint
 from ssac.camera import Cameras, Rig
 from ssac.pipeline import retries
-from ssac.points import PointTrack
 from ssac.rules import Rules
 from ssac.search.one_object import one_object
 from ssac.track.clean import clean
 from ssac.track.observation import tracked
 from tests.ssac.cluttered import DURATION_S, T_D_S, branches, flight, mixed
-from tests.ssac.synthetic import CAMERA, denoised, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.synthetic import CAMERA, denoised, make_scene, rotation_angle_deg
+from tests.ssac.tracks import frame_track
 
 RIG = Rig(CAMERA, CAMERA)
 RULES = Rules()
@@ -27,7 +27,6 @@ def seen(*streams):
 
 
 def crowd(ones, others):
-    """Both cameras' events of two things, and which is which."""
     cameras = [mixed(one, other) for one, other in zip(ones, others, strict=True)]
     return seen(*(events for events, _ in cameras)), [thing for _, thing in cameras]
 
@@ -103,10 +102,7 @@ def test_a_clock_that_shows_more_changes_nothing(two_flights):
 
 def test_a_track_beside_a_crowd_is_one_object(two_flights):
     (cam1, _), *_ = two_flights
-    times_s = np.arange(0.0, DURATION_S, 0.02)
-    points = track_pair(make_scene(4, duration_s=DURATION_S), times_s)[1]
-    inside = np.all((points > 0.0) & (points < [CAMERA.width - 1, CAMERA.height - 1]), axis=1)
-    track = tracked(PointTrack(times_s[inside] + T_D_S, points[inside]))
+    track = tracked(frame_track(make_scene(4, duration_s=DURATION_S), 2, 50.0, T_D_S))
     track = clean(track, CAMERA, Config().cleaning)
     found, refusal = one_object([cam1, track], RULES, NEAR)
     assert refusal is None
@@ -122,7 +118,6 @@ def test_noise_that_is_kept_hides_things(two_flights):
 
 
 def third_camera(one_seed, other_seed):
-    """A third camera's events of two flights, and which is which."""
     return mixed(flight(one_seed, angle_deg=40.0)[1], flight(other_seed, angle_deg=40.0)[1])
 
 

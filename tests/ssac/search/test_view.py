@@ -38,7 +38,6 @@ def without_frames(times_us, rate_hz, gap_us, phase_us=3_000):
 
 
 def hidden(times_us, spans_us):
-    """Lose the events of some spans."""
     for from_us, to_us in spans_us:
         times_us = times_us[(times_us < from_us) | (times_us > to_us)]
     return times_us

@@ -201,7 +201,6 @@ def test_noise_alone_leaves_at_most_an_event_in_a_window():
 
 
 def small(n):
-    """Events of something 3 px wide that goes round in 10 s."""
     return blob(PATHS["round"], n, 0.9, 10_000_000)
 
 
@@ -326,7 +325,6 @@ def test_the_path_is_as_uncertain_in_a_gap_as_a_random_acceleration_makes_it():
 
 
 def track(folder, events, *options):
-    """Call `ssac track`."""
     save_events_h5(folder / "cam.h5", events, *SIZE)
     rig = rig_document(intrinsics=[200.0, 200.0, 60.0, 45.0], resolution=[*SIZE])
     (folder / "rig.yaml").write_text(yaml.safe_dump(rig))

@@ -58,7 +58,6 @@ def square(rate_hz, seed=0):
 
 
 def sides(motion):
-    """The upper and the lower tangents."""
     near = near_outline(motion, LEVEL, AT_S, OutlineConfig())
     return tangents(motion, near, LEVEL, AT_S, OutlineConfig())
 
@@ -128,14 +127,12 @@ NOISE = noise(WIDTH, HEIGHT, 0.5, round(1e6 * HELD_S))
 
 
 def centres_px(times_s):
-    """Path (n, 2) of the object's middle."""
     return np.column_stack(
         [173.0 + 60.0 * np.sin(2.1 * times_s), 130.0 + 40.0 * np.sin(3.3 * times_s + 1.0)]
     )
 
 
 def disc(seed=0, rate_hz=25_000):
-    """Events of the object."""
     rng = np.random.default_rng((seed, 1))
     times_s = np.sort(rng.uniform(0.0, HELD_S, round(rate_hz * HELD_S)))
     away = RADIUS_PX * np.sqrt(rng.random(len(times_s)))

@@ -93,7 +93,6 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg
     # The mean of the events is elsewhere, and is all that the track tells.
     track = centres + np.array([0.8, -0.6])
     found = found_of(events, times_s, track, spread)
-    assert found is not None
     known = found.known
     # Where it was at the start no pixel was seen bare: for as far as its box reaches.
     assert known[len(known) // 2 :].mean() > 0.9
@@ -111,7 +110,6 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg
 def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
     events, times_s, centres, spread = recorded(corner, 37.0, object_luminance=0.95)
     found = found_of(events, times_s, centres, spread)
-    assert found is not None
     # Contrast is that of three and a half thresholds, so that levels are coarser.
     assert np.abs((found.centres_px - centres)[found.known].mean(axis=0)).max() < 0.3
 
@@ -122,7 +120,6 @@ def test_what_a_large_object_covers_at_first_is_told_by_what_comes_later(luminan
     events, times_s, centres, spread = recorded(corner, 37.0, luminance, length_px=60.0)
     assert found_of(events, times_s, centres, spread) is None
     found = found_of(events, times_s, centres, spread, large_px=5.0)
-    assert found is not None
     assert found.known.mean() > 0.95
     off = (found.centres_px - centres)[found.known]
     # The contrast of a bright one is that of three and a half thresholds: levels are coarser.
@@ -173,7 +170,6 @@ def unequal(events, share):
 
 
 def thinned(events, share):
-    """Leave so many of the events."""
     return events[np.random.default_rng(0).random(len(events)) < share]
 
 
@@ -206,7 +202,6 @@ def test_levels_that_do_not_come_out_even_are_evened(spoilt) -> None:
     off_px, shares = [], []
     for least in (SilhouetteRules.min_closed_share, 0.0):  # evened, and as they are counted
         found = found_of(spoilt(events), times_s, centres, spread, min_closed_share=least)
-        assert found is not None
         off_px.append(np.sqrt(np.mean((found.centres_px - centres)[found.known] ** 2)))
         shares.append(found.known.mean())
     # A fraction of a pixel of the object's 11: counted, pixels stay behind as a trail.
@@ -270,13 +265,10 @@ def found(shape: str) -> list[np.ndarray]:
     looks, moments, _ = drawn(shape)
     # A ball has many voxels: of twice the width they are an eighth as many.
     rules = RULES if shape == "body" else BodyRules(voxels_across=15.0)
-    moves = body_moves(looks, TIMES_S, moments, rules)
-    assert moves is not None
-    return moves
+    return body_moves(looks, TIMES_S, moments, rules)
 
 
 def swayed_px(moves: list[np.ndarray]) -> float:
-    """Rms of what is not the same at all times."""
     return float(np.sqrt(np.mean([np.nanvar(move, axis=0) for move in moves])))
 
 
@@ -300,7 +292,6 @@ def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
     order = [2, 0, 3, 1]
     moved = [replace(looks[k], R=looks[k].R @ G.T) for k in order]
     moves = body_moves(moved, TIMES_S, G @ moments @ G.T, RULES)
-    assert moves is not None
     for k, move in zip(order, moves, strict=True):
         # Sums are in another order, and axes may point the other way: voxels are then others.
         assert np.nanmax(np.abs(move - found("body")[k])) < 0.05
