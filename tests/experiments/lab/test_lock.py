@@ -1,4 +1,4 @@
-"""Locks: one holder at a time, taken over from those that are gone."""
+"""Locks of those that are gone; that one holds a lock at a time, `test_study.py` tests."""
 
 import os
 import socket
