@@ -15,6 +15,7 @@ import pytest
 
 from experiments import cli
 from sim.errors import SimError
+from ssac.errors import SsacError
 from tests.experiments.command import run
 
 
@@ -40,6 +41,74 @@ def test_make_calls_commands_and_studies_that_there_are():
     studied = re.findall(r"ssac study (.+)", makefile)
     assert studied
     assert {name for names in studied for name in names.split()} <= listed
+
+
+FILES = {
+    "drone.obj": b"v 0 0\nf 1 2 3\n",
+    "mesh.toml": b'[fixed]\nsim.drone_file = "drone.obj"\n',
+    "typo.toml": b"[grid]\nsim.angel_deg = [30, 90]\n",
+    "negative.toml": b"[fixed]\nsim.spline.duration_s = -1\n",
+    "syntax.toml": b"title = \n",
+    "latin.toml": b'title = "\xff"\n',
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        ("study", "name a study: coverage, "),
+        ("study roots", "unknown study 'roots': use one of coverage, "),
+        *((f"study coverage --shard {text}", "--shard: expected i/n")
+          for text in ("0/2", "3/2", "1", "a/b", "-1/2")),
+        ("study efficiency", "`ssac study efficiency` needs runs.csv in results"),
+        ("study spread a b", "expected CAM1 CAM2 RIG behind it, got 'a b'"),
+        ("study spread a b c", "a: no such file"),
+        ("by-hand --kind odd", r"--kind: expected one of plain, .*, got 'odd'"),
+        ("physical odd", "unknown part 'odd': use one of "),
+        ("figures fig3_preprocessing fig6", "unknown figure 'fig6': expected some of fig3"),
+        ("ablate windows", r"unknown ablation 'windows': use one of .*window"),
+        ("ablate typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
+        ("sweep typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
+        ("sweep mesh.toml", r"drone\.obj"),
+        ("sweep negative.toml", r"negative\.toml: duration_s must be a positive number"),
+        ("sweep syntax.toml", r"syntax\.toml: cannot be read as TOML"),
+        ("sweep latin.toml", r"latin\.toml: cannot be read as TOML: .* can't decode"),
+        ("sweep none.toml", r"none\.toml: cannot be read as TOML"),
+        ("verify --results none", "no such folder: run `make tables"),
+        ("simulate .", "is not empty"),
+        *((f"simulate out {options}", fault) for options, fault in (
+            ("--angle 180", "--angle: expected 1 to 179 degrees, got 180"),
+            ("--cameras 5", "5 of them, 90 deg from each to the next, go once round: use an angle "
+             "below 90 deg"),
+            ("--cameras 3 --background a.png --background b.png", "one image for all"),
+            ("--clock-jump 30 0.02", "expected a time within the flight, 0 to 20 s, got 30"),
+            ("--drone missing.stl", "missing.stl does not exist"),
+            ("--drone hawk", "expected a mesh file, or one of quadrotor, two-tone, bird, plane"),
+            ("--trajectory missing.csv", "cannot read the trajectory missing.csv"),
+            ("--background missing.png", "missing.png"),
+            ("--seed 4294967296", "--seed: expected 0 to 4294967295, got 4294967296"),
+            ("--second-object 1 --trajectory flight.csv", "leave out one of them"),
+            ("--lamp 20 --resolution 16 16 --focal 10 --duration 1 --frame-rate 0",
+             "a lamp of 20 x 20 px does not fit into a view of 16 x 16 px"),
+            ("--preset davis", "--preset: expected one of davis346, davis346-dim, evk4"),
+            ("--preset evk4 --noise davis346", "leave one out"),
+            ("--noise loud", "expected one of ideal, davis346, got 'loud'"),
+            ("--effect latency=1", "expected NAME=VALUE with a name of illuminance_lux"),
+            ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # of the sensor, no effect
+            ("--effect latency_s=late", "--effect latency_s: expected a number, got 'late'"),
+            ("--effect hot_clusters=1.5", "expected a whole number, got '1.5'"),
+            ("--illuminance 9 --effect illuminance_lux=8", "are one: leave one out"),
+        )),
+    ],
+)  # fmt: skip
+def test_what_is_asked_wrongly_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, words, fault):
+    monkeypatch.chdir(tmp_path)
+    for name, content in FILES.items():
+        Path(name).write_bytes(content)
+    with pytest.raises((SimError, SsacError), match=fault) as error:
+        run(*words.split())
+    assert "\n" not in str(error.value)
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES}
 
 
 def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):

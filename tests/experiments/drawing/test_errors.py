@@ -49,7 +49,6 @@ def labels(figure) -> list[str]:
 
 
 def panels_of(figure) -> list[tuple]:
-    """The axes of each error and duration, with both."""
     of = product(ERRORS, (10.0, 20.0))
     return [(axes, *one) for axes, one in zip(figure.axes, of, strict=True)]
 
@@ -207,7 +206,6 @@ def test_three_numbers_at_least_are_on_a_logarithmic_axis(reach: tuple[float, fl
 
 
 def runs_of_ablation(name: str) -> tuple[GridConfig, pd.DataFrame]:
-    """An ablation's grid and its committed runs."""
     return named_config(name), Results(RESULTS).table(f"{name}_runs")
 
 

@@ -92,10 +92,6 @@ def process_row(cell: SquareCell, loaded: object) -> SquareRow:
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 
 
-def delete(path: Path) -> None:
-    path.unlink()
-
-
 def double_a_number(path: Path) -> None:
     """Double the last number that doubling changes."""
     text = path.read_text(encoding="utf-8")
@@ -105,7 +101,6 @@ def double_a_number(path: Path) -> None:
 
 
 def change_a_status(path: Path) -> None:
-    """Let the last run that is "ok" have no match."""
     before, ok, after = path.read_text(encoding="utf-8").rpartition(",ok,")
     assert ok
     path.write_text(f"{before},no_match,{after}", encoding="utf-8")

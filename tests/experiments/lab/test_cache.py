@@ -102,27 +102,6 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
 # --- Nothing is made twice or half ---
 
 
-def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch):
-    calls = []
-
-    def counted(config, seed, *rest):
-        calls.append((config, seed))
-        return record(config, seed, *rest)
-
-    record = module.record
-    monkeypatch.setattr(module, "record", counted)
-    spline = replace(SimConfig().spline, duration_s=0.5)
-    config = SimConfig(t_d_s=0.3, spline=spline)
-    cache = Cache(tmp_path / "cache")
-    folder = cache.recording_folder(config, 3)
-    names = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json"}
-    assert {path.name for path in folder.iterdir()} == names
-    assert cache.recording_folder(replace(config, t_d_s=0.0), 3) == folder
-    assert calls == [(replace(config, t_d_s=0.0), 3)]
-    files = [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
-    assert cache.size_bytes() == sum(path.stat().st_size for path in files)
-
-
 def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_path):
     unknown = SimConfig(render=RenderConfig(backend="vulkan"))
     for config, said in ((SimConfig(angle_deg=200.0), "the angle between"), (unknown, "vulkan")):
@@ -149,6 +128,7 @@ def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_w
     cache.save_run("abcd", ROW)
     assert cache.load_run("abcd") == ROW
     assert files_in(tmp_path) == ["abcd.json"]
+    assert cache.size_bytes() == len(text_of_row(ROW))
 
 
 # --- Entries that are no longer what was written ---

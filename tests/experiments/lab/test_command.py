@@ -121,8 +121,6 @@ def test_parts_of_a_command_are_its_studies(tmp_path, monkeypatch):
     out = files_of(parts, tmp_path, monkeypatch, "second", "--workers", "1")
     names = {path.name for path in out.iterdir()}
     assert names == {"others.csv", "others.provenance.json", "SHA256SUMS"}
-    with pytest.raises(SsacError, match="unknown part 'third': use one of first, second"):
-        files_of(parts, tmp_path, monkeypatch, "third")
 
 
 def test_cells_that_are_measured_alone_have_processes_of_their_own_and_are_not_kept(

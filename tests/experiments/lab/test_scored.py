@@ -52,21 +52,6 @@ def with_method(monkeypatch, estimate, **fields):
     monkeypatch.setattr(scored, "METHODS", methods)
 
 
-def test_a_row_is_that_of_the_run_in_full_whatever_else_is_measured(fresh, pair):
-    """That an estimate follows the clock is tested of each method beside the registry."""
-    for t_d_s in OFFSETS_S:
-        cell = cell_of("joint", t_d_s)
-        row = scored_row(cell, fresh)
-        alone = scored_row(cell, of_same(pair))
-        late = pair.clean(0), pair.clean(1).delayed(t_d_s)
-        whole = Chain(late, pair.rig, cell.estimator).estimate("joint")
-        assert row.status == "ok"
-        # Rounding of times in seconds.
-        assert row.t_d_estimate_ms == pytest.approx(1e3 * whole.t_d_s, abs=1e-6)
-        assert repr(row) == repr(alone)  # as text, since NaN is not itself
-        assert row.n_samples == whole.n_samples
-
-
 @pytest.mark.parametrize(("follows", "runs"), [(True, 1), (False, 2)])
 def test_offsets_share_a_run_of_a_method_that_follows_the_clock(follows, runs, fresh, monkeypatch):
     starts_s = []
@@ -114,14 +99,6 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
     monkeypatch.setattr(scored, "GUARDED", 1)
     with pytest.raises(ArithmeticError, match=f"differs in {field}"):
         scored_row(cell_of("mine", 0.5), of_same(pair))
-
-
-def test_a_method_that_lacks_something_is_skipped_and_no_file_is_named(fresh):
-    row = scored_row(cell_of("zncc_f", 0.05), fresh)
-    assert row.status == "skipped"
-    assert row.reason.startswith("camera 1: zncc_f compares intensity frames")
-    n_events = row.n_events_cam1, row.n_events_cam2
-    assert n_events == tuple(fresh.clean(k).n_recorded for k in range(2))
 
 
 # --- Denoised once ---

@@ -169,22 +169,6 @@ def test_gaps_in_the_runs_are_found(tmp_path):
             check_runs(STUDY, damaged, CELLS)
 
 
-def test_the_command_refuses_before_the_work(tmp_path, monkeypatch):
-    assert study("--list").split() == ["squares", "Squares", "of", "numbers"]
-    needy = replace(STUDY, reads=("runs.csv",))
-    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": needy})
-    for words, said in (
-        (("roots",), "unknown study 'roots': use one of squares"),
-        ((), "name a study: squares"),
-        *((("squares", "--shard", text), "--shard: expected i/n")
-          for text in ("0/2", "3/2", "1", "a/b", "-1/2")),
-        (("squares", "--out", tmp_path), "`ssac study squares` needs runs.csv in "),
-    ):  # fmt: skip
-        with pytest.raises(SsacError, match=said):
-            study(*words)
-    assert LOADED == []
-
-
 # --- What is done, and what is left ---
 
 
@@ -227,7 +211,10 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path):
 # --- Others on it, and workers that die ---
 
 
-def test_what_another_run_is_on_comes_last_and_is_not_done_twice(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("finishes", [True, False])
+def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
+    tmp_path, monkeypatch, capsys, finishes
+):
     cache = Cache(tmp_path)
     first = Task(tuple(cell for cell in CELLS if cell.number == 0))
     with ExitStack() as other:
@@ -236,26 +223,17 @@ def test_what_another_run_is_on_comes_last_and_is_not_done_twice(tmp_path, monke
         def sleep(_: float) -> None:
             if 0 not in LOADED:  # the other run takes its time
                 assert LOADED == [1, 2, 3]  # all that is left is its
-                schedule.run_task(first, cache, MEASURE)
+                if finishes:
+                    schedule.run_task(first, cache, MEASURE)
                 other.close()
 
         monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
         monkeypatch.setattr(schedule.time, "sleep", sleep)
         outcome = run(tmp_path)
     assert list(outcome.runs["square"]) == VALUES
-    assert sorted(LOADED) == [*NUMBERS]
+    assert LOADED == [1, 2, 3, 0]
     assert not list(tmp_path.rglob("*.claim"))
     assert "waiting for what another run is on: 1 recordings" in capsys.readouterr().err
-
-
-def test_what_another_run_gives_up_is_done_here(tmp_path, monkeypatch):
-    claim = Cache(tmp_path).claim_of_runs(recordings_key(Task((CELLS[0],))))
-    with ExitStack() as other:
-        other.enter_context(claimed(claim))
-        monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
-        monkeypatch.setattr(schedule.time, "sleep", lambda _: other.close())
-        assert list(run(tmp_path).runs["square"]) == VALUES
-    assert LOADED == [1, 2, 3, 0]
 
 
 class Mortal(Pool):

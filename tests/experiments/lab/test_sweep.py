@@ -11,8 +11,8 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -44,56 +44,33 @@ sim.angle_deg = [90]
 sim.t_d_s = [0.005, 0.05]
 """
 
-# A plugin with a method that kills its process once; docs/methods.md tells about plugins.
-PLUGIN = """
-import os
-import signal
-from dataclasses import replace
-from pathlib import Path
-
-from ssac import event_rate
-
-def dying_once(cam1, cam2, rig, config=None):
-    try:
-        Path(__file__).with_name("died").touch(exist_ok=False)
-    except FileExistsError:
-        return replace(event_rate(cam1, cam2, rig, config), method="dying_once")
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
 
 def sweep(config, out, cache, *more):
     return run("sweep", config, "--out", out, "--cache", cache, *more)
 
 
-def without_runs(folder: Path, name: str) -> Path:
-    """Return a cache with the recordings of `folder` / cache, but no runs."""
-    cache = folder / name
-    cache.mkdir()
-    (cache / "recordings").symlink_to(folder / "cache" / "recordings")
-    return cache
-
-
-def python(folder, plugin, *words, stderr=subprocess.DEVNULL):
-    """Run a module in a process of its own, which knows the plugin's methods."""
-    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
+def python(folder, *words, stderr=subprocess.DEVNULL):
+    """Run a module in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", *map(str, words)], env=environment, cwd=folder, text=True,
-        stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
+        [sys.executable, "-m", *map(str, words)], env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=folder, text=True, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
     )  # fmt: skip
 
 
-def started(folder, plugin, config, out, cache, *more):
-    """Begin a sweep."""
+def started(folder, config, out, cache, *more):
     words = ("experiments", "sweep", config, "--out", out, "--cache", cache, *more)
-    return python(folder, plugin, *words, stderr=subprocess.PIPE)
+    return python(folder, *words, stderr=subprocess.PIPE)
 
 
-def swept(*arguments):
-    """Run a sweep to its end; its exit code and what it said."""
-    process = started(*arguments)
-    said = process.communicate()[1]
-    return process.returncode, said
+def at_work(cache, run):
+    """Wait until somebody works for a run on a recording: the id of that process."""
+    while True:
+        with suppress(FileNotFoundError):  # it was given back just then
+            for path in cache.glob("runs/.*.claim"):
+                if found := re.search(r"^pid=(\d+)$", path.read_text(), re.MULTILINE):
+                    return int(found[1])
+        assert run.poll() is None
+        time.sleep(0.01)
 
 
 @pytest.fixture(scope="module")
@@ -116,19 +93,6 @@ def whole(folder, config):
     return out
 
 
-@pytest.fixture(scope="module")
-def plugin(folder):
-    """A folder in which Python finds the plugin."""
-    plugin = folder / "plugin"
-    info = plugin / "failing-1.0.dist-info"
-    info.mkdir(parents=True)
-    (plugin / "failing.py").write_text(PLUGIN)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
-    entry = "[ssac.methods]\ndying_once = failing:dying_once\n"
-    (info / "entry_points.txt").write_text(entry)
-    return plugin
-
-
 def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder, config, whole):
     ended = set(pd.read_csv(whole)[["method", "status"]].itertuples(index=False, name=None))
     assert ended == {("event_rate", "ok"), ("zncc_f", "skipped")}
@@ -144,37 +108,13 @@ def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder,
     assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
 
 
-def test_a_damaged_mesh_in_a_grid_is_an_error_before_any_work(config, tmp_path):
-    mesh, grid = tmp_path / "drone.obj", tmp_path / "grid.toml"
-    mesh.write_text("v 0 0\nf 1 2 3\n", encoding="utf-8")
-    fixed = f"[fixed]\nsim.drone_file = {str(mesh)!r}\n"
-    grid.write_text(config.read_text().replace("[fixed]\n", fixed), encoding="utf-8")
-    with pytest.raises(SsacError, match=mesh.name):
-        sweep(grid, tmp_path / "out.csv", tmp_path / "cache", "--workers", "1")
-    assert {path.name for path in tmp_path.iterdir()} == {mesh.name, grid.name}
-
-
 # --- Workers, hosts and whole sweeps that die or are stopped ---
 
 
-@pytest.fixture(scope="module")
-def mortal(folder, whole):
-    """A grid with a method that kills its worker once, and the rows that it must give."""
-    config = folder / "mortal.toml"
-    config.write_text(TOML.format(methods='"event_rate", "dying_once"'))
-    header, *lines = whole.read_text().splitlines()
-    rates = [line.partition(",")[2] for line in lines if ",event_rate," in line]
-    rows = [line for rate in rates for line in (rate, rate.replace("event_rate", "dying_once"))]
-    numbered = [f"{number},{row}" for number, row in enumerate(rows)]
-    return config, "\n".join([header, *numbered, ""])
-
-
-def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, plugin, config, whole):
+def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, config, whole):
     cache, outs = folder / "cache_shared", (folder / "one.csv", folder / "other.csv")
-    other = started(folder, plugin, config, outs[0], cache, "--workers", "1")
-    while not list(cache.glob("recordings/.*.claim")):  # it is at its first recording
-        assert other.poll() is None
-        time.sleep(0.01)
+    other = started(folder, config, outs[0], cache, "--workers", "1")
+    at_work(cache, other)
     told = [sweep(config, outs[1], cache, "--workers", "1"), other.communicate()[1]]
     assert other.returncode == 0, told
     simulated = [int(re.search(r"(\d+) of them simulated", said)[1]) for said in told]
@@ -184,11 +124,11 @@ def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, plugin,
     assert not list(cache.rglob(".*"))  # neither locks nor anything half-made
 
 
-def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(folder, plugin):
+def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(folder):
     out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
     longer = folder / "longer.toml"  # so that both are at it when they are interrupted
     longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 100"))
-    run = started(folder, plugin, longer, out, cache, "--workers", "2")
+    run = started(folder, longer, out, cache, "--workers", "2")
     while len(list(cache.glob("recordings/.*.claim"))) < 2:  # both workers simulate
         assert run.poll() is None
         time.sleep(0.1)
@@ -205,25 +145,23 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(fol
 
 
 def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_bytes(
-    folder, plugin, mortal
+    folder, config, whole
 ):
-    config, expected = mortal
-    out, cache = folder / "killed.csv", without_runs(folder, "cache_killed")
-    run = started(folder, plugin, config, out, cache, "--workers", "2")
+    out, cache = folder / "killed.csv", folder / "cache_killed"
+    run = started(folder, config, out, cache, "--workers", "2")
+    os.kill(at_work(cache, run), signal.SIGKILL)
     while "a worker ended by SIGKILL on the flight of 3 s at 90 deg with seed" not in (
         said := run.stderr.readline()
     ):
         assert said
-    assert (plugin / "died").exists()
-    n_kept = len(list(cache.rglob("*.json")))
-    while len(list(cache.rglob("*.json"))) == n_kept:  # further rows are kept: it is at work
+    n_kept = len(list(cache.glob("runs/*/*.json")))
+    while len(list(cache.glob("runs/*/*.json"))) == n_kept:  # further rows are kept: it is at work
         assert run.poll() is None
         time.sleep(0.01)
     run.kill()
     run.communicate(timeout=60)  # its workers hold its stderr: they must end with it
-    code, said = swept(folder, plugin, config, out, cache, "--workers", "1")
-    assert code == 0, said
-    assert out.read_text() == expected
+    sweep(config, out, cache, "--workers", "1")
+    assert out.read_bytes() == whole.read_bytes()
     assert not list(cache.rglob(".*"))
 
 
@@ -231,28 +169,27 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
 
 
 def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end_is_one_line(
-    folder, plugin, mortal, capfd
+    folder, config, whole, capfd
 ):
     pytest.importorskip("distributed")
-    config, expected = mortal
-    (plugin / "died").unlink(missing_ok=True)
     file = folder / "scheduler.json"
     local = ("--no-dashboard", "--scheduler-file", file)
     host, worker = ("--host", "127.0.0.1", "--port", "0"), ("--nthreads", "1", "--no-nanny")
-    processes = [python(folder, plugin, "dask", "scheduler", *host, *local)]
+    processes = [python(folder, "dask", "scheduler", *host, *local)]
     try:
-        processes += [python(folder, plugin, "dask", "worker", *worker, *local) for _ in "12"]
+        processes += [python(folder, "dask", "worker", *worker, *local) for _ in "12"]
         for process in processes:  # one that ended and is not waited for seems to hold its lock
             threading.Thread(target=process.wait, daemon=True).start()
         while not file.exists():
             assert processes[0].poll() is None
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
-        out, cache = folder / "dask.csv", without_runs(folder, "cache_dask")
-        code, said = swept(folder, plugin, config, out, cache, "--scheduler", address)
-        assert code == 0, said
-        assert (plugin / "died").exists()
-        assert out.read_text() == expected
+        out, cache = folder / "dask.csv", folder / "cache_dask"
+        run = started(folder, config, out, cache, "--scheduler", address)
+        os.kill(at_work(cache, run), signal.SIGKILL)
+        said = run.communicate()[1]
+        assert run.returncode == 0, said
+        assert out.read_bytes() == whole.read_bytes()
         assert len(list((cache / "runs").rglob("*.json"))) == 3 * 2 * 2
         capfd.readouterr()
         with pools.Cluster(address) as pool:

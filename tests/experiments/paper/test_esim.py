@@ -16,7 +16,6 @@ RUNS = made_up_runs()
 
 
 def place(method: str, flights: Sequence[int] = tuple(range(10))) -> pd.Series:
-    """Which rows are runs of a method in one cell of a table."""
     of = {"duration_s": 10.0, "angle_deg": 60.0, "t_d_ms": 50.0, "method": method}
     return (RUNS[list(of)] == pd.Series(of)).all(axis=1) & RUNS["flight"].isin(flights)
 
@@ -26,7 +25,6 @@ def cell(table: pd.DataFrame) -> pd.Series:
 
 
 def with_status(rows: pd.Series, status: str = "search_bound") -> pd.DataFrame:
-    """Return the runs with some of them failed."""
     return RUNS.assign(status=RUNS["status"].mask(rows, status))
 
 

@@ -28,7 +28,6 @@ def page():
 
 
 def rows_of(page: str, heading: str) -> list[list[str]]:
-    """Cells of all tables below a heading of the page."""
     section = page.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]

@@ -14,21 +14,13 @@ from experiments.report import report
 from experiments.studies import tables
 from experiments.studies.ablations import ABLATIONS
 from ssac.errors import SsacError
-from tests.experiments.reported import FIGURES, METHODS, made_up_runs, record_flight, write_results
+from tests.experiments.reported import FIGURES, METHODS, made_up_runs, write_results
 from tests.html_pages import EVIL, check_page
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    """A recording that nobody changes."""
-    folder = tmp_path_factory.mktemp("flight")
-    record_flight(folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def animation(flight):
-    return report.make_animation(flight)
+def animation(flight_folder):
+    return report.make_animation(flight_folder)
 
 
 @pytest.fixture(scope="module")
@@ -114,11 +106,11 @@ def test_the_headline_is_computed():
 
 
 def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
-    folder, flight, tmp_path, page, monkeypatch
+    folder, flight_folder, tmp_path, page, monkeypatch
 ):
     asked = []
     monkeypatch.setattr(
-        Cache, "recording_folder", lambda self, config, seed: asked.append((config, seed)) or flight
+        Cache, "recording_folder", lambda _, *flight: asked.append(flight) or flight_folder
     )
     check_page(page)
     n_figures = len(FIGURES) + len(ABLATIONS)

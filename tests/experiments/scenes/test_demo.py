@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.lab.provenance import code_commit, plain, provenance, versions, write_provenance
+from experiments.lab.provenance import plain
 from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
 from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
@@ -53,15 +53,6 @@ def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_pa
     with pytest.raises(SimError, match="recording is not empty: name a new folder"):
         demo_command(tmp_path)
     assert [path.name for path in folder.iterdir()] == ["truth.json"]
-
-
-def test_provenance_holds_all_that_a_result_depends_on(tmp_path):
-    write_provenance(tmp_path / "a.csv", provenance("ssac x", SimConfig(), 1.25, None))
-    text = (tmp_path / "a.provenance.json").read_text()
-    for word in ("ssac x", code_commit(), versions()["numpy"], "max_step_px", '"wall_time_s": 1.2'):
-        assert word in text
-    assert plain({"a": (1, tmp_path), 2: [None]}) == {"a": [1, str(tmp_path)], "2": [None]}
-    assert plain(SimConfig())["render"]["lattice"] == {"a": 16, "b": 1}
 
 
 FLOWN = SimConfig(

@@ -16,12 +16,10 @@ from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.simulate import simulate_command
 from sim.disturb import DisturbConfig
 from sim.effects.config import SENSOR_PRESETS
-from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
 from sim.sensor.events import PRESETS, SensorConfig
-from ssac.errors import SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
@@ -30,7 +28,6 @@ from tests.experiments.command import run
 from tests.left_over import ended_process, made_by
 
 FAST = ["--duration", "2", "--max-step", "2", "--lattice", "2", "0"]
-LATE = [*FAST, "--t-d", "0.05", "--skew-ppm", "1000"]
 
 simulate = partial(run, "simulate")
 
@@ -42,7 +39,8 @@ def truth_of(folder: Path) -> dict:
 @pytest.mark.render
 def test_the_folder_holds_what_the_design_says(tmp_path):
     plain = tmp_path / "new" / "recording"
-    said = simulate(plain, *LATE, "--angle", 60, "--text", "--figures")
+    late = ["--t-d", 0.05, "--skew-ppm", 1000]
+    said = simulate(plain, *FAST, *late, "--angle", 60, "--text", "--figures")
     assert "| median image speed [px/s] | 198 |" in " ".join(said.split())
     assert {path.name for path in plain.iterdir()} == {
         "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
@@ -83,8 +81,11 @@ def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(tmp
 
 
 @pytest.mark.render
-def test_the_same_arguments_give_the_same_bytes(tmp_path):
-    arguments = [*FAST, "--seed", 2**32 - 1, "--noise", "davis346"]
+def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
+    """Of a bird that is close to cameras of a preset."""
+    near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
+    preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
+    arguments = [*FAST, "--seed", 2**32 - 1, *near, *preset]
     left = made_by(tmp_path / "b", ended_process())  # by a run that was killed
     left.mkdir()
     for name in ("a", "b"):
@@ -92,73 +93,11 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     a, b = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in "ab")
     assert a == b
-
-
-@pytest.mark.render
-def test_a_bird_close_to_cameras_of_a_preset_is_recorded_and_written_down(tmp_path):
-    near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
-    preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
-    simulate(tmp_path / "near", *FAST, *near, *preset)
-    truth = truth_of(tmp_path / "near")
+    truth = truth_of(tmp_path / "a")
     assert np.abs(truth["drone_position_W_m"]).max() < 0.2 * 3.6
     effects = replace(SENSOR_PRESETS["davis346-dim"].effects, camera2_light=0.5)
     assert truth["provenance"]["config"]["effects"] == provenance.plain(effects)
-    counts = [len(load_events(tmp_path / "near" / f"cam{i}.h5").events) for i in (1, 2)]
-    assert min(counts) > 10_000
-
-
-@pytest.mark.render
-def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path):
-    options = ["--second-object", 1, "--intrinsics-error", 1, 3, "--lamp", 6]
-    simulate(tmp_path / "a", *LATE, "--frame-rate", 0, *options)
-    truth = truth_of(tmp_path / "a")
-    assert truth["provenance"]["disturbances"]["lamp_px"] == 6
-    rig, known = (load_rig(tmp_path / "a" / name) for name in ("rig.yaml", "rig_extrinsics.yaml"))
-    np.testing.assert_allclose(known.T_2_1[:3, :3], truth["R"], atol=1e-15)
-    for name, camera in (("cam1", rig.cam1), ("cam2", rig.cam2)):
-        assert camera.intrinsics_std_px == pytest.approx((2.0, 2.0, 3.0, 3.0))
-        off = camera.K - np.array(truth["provenance"]["true_K"][name])
-        assert np.all(off[[0, 1, 0, 1], [0, 1, 2, 2]] != 0.0)
-        n_events = len(load_events(tmp_path / "a" / f"{name}.h5").events)
-        assert truth["cameras"][name]["n_events"] == n_events
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--angle", 180], "--angle: expected 1 to 179 degrees, got 180"),
-        (["--cameras", 5], "5 of them, 90 deg from each to the next, go once round: use an angle "
-         "below 90 deg"),
-        (["--cameras", 3, "--background", "a.png", "--background", "b.png"], "one image for all"),
-        (["--clock-jump", 30, 0.02], "expected a time within the flight, 0 to 20 s, got 30"),
-        (["--drone", "missing.stl"], "missing.stl does not exist"),
-        (["--drone", "hawk"], "expected a mesh file, or one of quadrotor, two-tone, bird, plane"),
-        (["--trajectory", "missing.csv"], "cannot read the trajectory missing.csv"),
-        (["--background", "missing.png"], "missing.png"),
-        (["--seed", 2**32], "--seed: expected 0 to 4294967295, got 4294967296"),
-        (["--second-object", 1, "--trajectory", "flight.csv"], "leave out one of them"),
-        (["--lamp", 20, "--resolution", 16, 16, "--focal", 10, "--duration", 1,
-          "--frame-rate", 0], "a lamp of 20 x 20 px does not fit into a view of 16 x 16 px"),
-        (["--preset", "davis"], "--preset: expected one of davis346, davis346-dim, evk4"),
-        (["--preset", "evk4", "--noise", "davis346"], "leave one out"),
-        (["--noise", "loud"], "expected one of ideal, davis346, got 'loud'"),
-        (["--effect", "latency=1"], "expected NAME=VALUE with a name of illuminance_lux"),
-        (["--effect", "threshold_on=0.1"], "expected NAME=VALUE"),  # of the sensor, no effect
-        (["--effect", "latency_s=late"], "--effect latency_s: expected a number, got 'late'"),
-        (["--effect", "hot_clusters=1.5"], "expected a whole number, got '1.5'"),
-        (["--illuminance", "9", "--effect", "illuminance_lux=8"], "are one: leave one out"),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_error_and_leaves_nothing(tmp_path, arguments, message):
-    with pytest.raises((SimError, SsacError)) as error:
-        simulate(tmp_path / "out", *arguments)
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(SimError, match="is not empty"):
-        simulate(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    assert min(camera["n_events"] for camera in truth["cameras"].values()) > 10_000
 
 
 OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
@@ -177,7 +116,6 @@ def test_an_option_that_is_not_given_has_the_default_of_its_field():
 
 
 def flat(made: tuple[SimConfig, DisturbConfig]) -> dict[str, object]:
-    """Fields of both configurations by their dotted names."""
     sim, disturb = map(asdict, made)
     return pd.json_normalize({**sim, "disturb": disturb}).astype(object).iloc[0].to_dict()
 

@@ -1,7 +1,5 @@
 """Ablations and grids of one's own: what becomes of their runs, and tangency's variants."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +10,6 @@ from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ablation_table, points_figure, points_table
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
-from ssac.errors import SsacError
 from ssac.methods.tangency import TangencyConfig
 from tests.experiments.command import run
 
@@ -98,16 +95,6 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(tmp_path, monkeypatch, comma
     said = run(command, config, "--out", place, "--cache", tmp_path)
     assert {path.name for path in out.iterdir()} == names
     assert "t_d_error_ms ± median" in said  # the table is shown, too
-
-
-def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:
-    config = tmp_path / "my.toml"
-    config.write_text(TOML.replace("sim.angle_deg", "sim.angel_deg"))
-    for command in ("ablate", "sweep"):
-        with pytest.raises(SsacError, match=r"my\.toml: unknown parameter 'sim\.angel_deg'"):
-            run(command, config)
-    with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
-        run("ablate", "windows")
 
 
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:

@@ -14,7 +14,7 @@ from experiments.lab.results import Results, csv_text, png_bytes
 from experiments.lab.schedule import Task, Workers, run_cells, run_task
 from experiments.machine import growth, parts
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
-from experiments.machine.parts import PART, Measurement, PartCell
+from experiments.machine.parts import PART, PartCell
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
@@ -24,7 +24,6 @@ from ssac.pipeline.registry import METHODS
 
 
 def made_up_growth() -> pd.DataFrame:
-    """Return some points, linear in their events."""
     rows = []
     for point in POINTS:
         n = point.events_per_s * point.duration_s
@@ -36,15 +35,6 @@ def made_up_growth() -> pd.DataFrame:
             of_point = (point.sensor, point.duration_s, step, n)
             rows.append((*of_point, took_s, took_s, mb, "ok", error_ms))
     return pd.DataFrame(rows, columns=list(GROWTH.runs.columns))
-
-
-def test_verdict() -> None:
-    for value, if_lower, if_higher in (
-        (9.0, "meets", "misses"), (11.0, "misses", "meets"), (np.nan, "misses", "misses"),
-    ):  # fmt: skip
-        assert Measurement("m", value, "s", 10.0).verdict == if_lower
-        assert Measurement("m", value, "s", 10.0, higher_is_better=True).verdict == if_higher
-    assert Measurement("m", 5.0, "s").verdict == ""
 
 
 def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -> None:
@@ -141,21 +131,3 @@ def test_steps_of_a_point_are_measured_or_say_why_not(tmp_path, monkeypatch) -> 
     assert len(set(table["events_per_camera"])) == 1
     assert table["status"][2].startswith("not measured (")
     assert np.isnan(table["wall_s"][2])
-
-
-def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
-    def faults(table: pd.DataFrame, grown: pd.DataFrame) -> str:
-        (tmp_path / "bench.csv").write_text(csv_text(table))
-        (tmp_path / "bench_growth.csv").write_text(csv_text(grown))
-        results = Results(tmp_path)
-        return "; ".join([*bench.bench_faults(results), *bench.growth_faults(results)])
-
-    grown, one = made_up_growth(), Measurement("drawing", 2.0, "s", 3.0)
-    (tmp_path / "bench_growth.csv").write_text(csv_text(grown))
-    row = {"part": "x", "status": "ok", "reason": "", "measurements": [vars(one)]}
-    table = bench_table(pd.DataFrame([row]), Results(tmp_path))
-    assert not faults(table, grown)
-    assert "drawing is 2, and misses" in faults(table.assign(verdict="misses"), grown)
-    assert "drawing is 0" in faults(table.assign(value=0.0), grown)
-    assert "row 0: no_match" in faults(table, grown.assign(status="no_match", cpu_s=np.nan))
-    assert "do not follow from" in faults(table, grown.assign(peak_mb=2 * grown["peak_mb"]))

@@ -10,7 +10,6 @@ from experiments.studies import by_hand
 from experiments.studies.by_hand import SETTINGS, HandRow
 from experiments.worlds import odd
 from experiments.worlds.odd import KINDS, drawn
-from ssac.errors import SsacError
 from tests.experiments.command import run
 from tests.experiments.reported import flown
 
@@ -118,8 +117,3 @@ def test_the_command_tries_settings_where_the_default_is_not_right(
     every = tried("--far", "0", "--every")
     assert every.loc["--method joint", "status"] == "ok"
     assert every.loc[by_hand.UNASKED, "t_d_estimate_ms"] == default["t_d_estimate_ms"]
-
-
-def test_a_kind_that_is_none_is_one_line() -> None:
-    with pytest.raises(SsacError, match=r"--kind: expected one of plain, .*, got 'odd'"):
-        by_hand.hand_cells(kind="odd")

@@ -32,7 +32,6 @@ def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
 
 
 def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None:
-    """They take no rendering."""
     config = network.FourCameras()
     scene = config.scene(5)
     (tmp_path / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))

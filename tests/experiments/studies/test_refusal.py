@@ -130,14 +130,6 @@ def test_a_recording_that_nothing_spoils_is_answered(cache: Cache) -> None:
     assert (row.status, row.is_right, row.pose_given) == ("ok", True, True)
 
 
-def test_each_cause_is_recorded_once_of_each_flight() -> None:
-    cells = refusal.reason_cells(base=2, recordings=3)
-    assert [cell.kind for cell in cells] == 3 * list(open_flights.CAUSES)
-    assert len({cell.seed for cell in cells} | {cell.seed for cell in CELLS}) == 4
-    mended_by = {cause.mended_by for cause in open_flights.CAUSES.values()} - {""}
-    assert mended_by <= set(refusal.ADVICE)
-
-
 def test_the_table_counts_what_was_said_of_each_cause() -> None:
     rows = [
         ReasonRow("no_match", "two paths", is_named=True, advice="record one flight", works=True),

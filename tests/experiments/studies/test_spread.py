@@ -7,7 +7,6 @@ import pytest
 from experiments.studies import spread
 from experiments.studies.spread import HALF_WINDOWS_S, N_MINS, SHOWN, spread_figure, spread_table
 from ssac.config import N_MIN, Config
-from ssac.errors import SsacError
 from tests.experiments.command import run
 from tests.experiments.reported import record_flight
 
@@ -71,10 +70,3 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     of_t_d = table[table["quantity"] == "t_d_ms"].set_index("method")
     # The clocks of this pair are alike; 4 s of it leave a few ms at most.
     assert (of_t_d["median"].abs() < 10.0).all()
-
-
-def test_other_files_than_it_needs_are_one_line():
-    for given, fault in (("a b", "expected CAM1 CAM2 RIG behind it, got 'a b'"),
-                         ("a b c", "a: no such file")):  # fmt: skip
-        with pytest.raises(SsacError, match=fault):
-            run("study", "spread", *given.split())

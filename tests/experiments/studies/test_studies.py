@@ -5,13 +5,16 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from shutil import copy
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.cell import Flight
+from experiments.lab.cell import CRASHED, Flight
 from experiments.lab.grid import Cell, config_names, flight_seed, named_config
 from experiments.lab.provenance import write_provenance
+from experiments.lab.results import Results, csv_text
 from experiments.lab.study import How
 from experiments.lab.verify import cells_of
 from experiments.machine.parts import measured_cells
@@ -21,6 +24,7 @@ from experiments.studies.ablations import ABLATIONS
 from experiments.studies.fidelity import renderer_cells
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
+from tests.experiments.reported import RESULTS
 
 STUDIES = all_studies()
 
@@ -63,6 +67,55 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
 def test_the_provenance_of_every_file_can_be_written(name: str, tmp_path: Path) -> None:
     for file, config in STUDIES[name].provenances.items():
         write_provenance(tmp_path / file, {"config": config})
+
+
+RUN = "method == 'ssac' and t_d_ms == 500 and status == 'ok'"
+OF_CORRELATION = RUN.replace("ssac", "zncc_e")
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "where", "changed", "fault"),
+    [
+        ("tables", "runs", RUN, {}, None),
+        ("tables", "runs", RUN, {"status": CRASHED}, "no run crashed"),
+        ("tables", "runs", RUN, {"status": "no_match"}, "every failed run has a reason"),
+        ("tables", "runs", RUN, {"t_d_error_ms": -1.0}, "errors are possible ones"),
+        ("tables", "runs", RUN, {"t_d_error_ms": np.nan}, "errors are possible ones"),
+        ("tables", "runs", RUN, {"t_d_estimate_ms": np.nan}, "errors are possible ones"),
+        ("tables", "runs", RUN, {"r_error_deg": 181.0}, "angles are angles"),
+        ("tables", "runs", RUN, {"t_error_deg": -0.1}, "angles are angles"),
+        ("tables", "runs", RUN, {"t_d_estimate_ms": 77.0}, "errors are those of the estimates"),
+        ("tables", "runs", RUN, {"r_error_deg": np.nan}, "a method gives a pose always or never"),
+        *(("tables", "runs", RUN, {one: 7}, "all runs on a flight saw the same events")
+          for one in ("n_events_cam1", "n_events_cam2", "seed")),
+        # The search around 500 ms ends at 1500 ms.
+        ("tables", "runs", OF_CORRELATION, {"t_d_error_ms": 1.5e3, "t_d_estimate_ms": -1e3},
+         "errors are possible ones"),
+        # Of 1412.345 ms the CSV has six digits, which are equal enough.
+        ("tables", "runs", OF_CORRELATION, {"t_d_error_ms": 912.345, "t_d_estimate_ms": 1412.345},
+         None),
+        ("bench", "bench", "value > 0", {}, None),
+        ("bench", "bench", "verdict == 'meets'", {"verdict": "misses"}, "it is a benchmark"),
+        ("bench", "bench", "value > 0", {"value": 0.0}, "it is a benchmark"),
+        ("bench", "bench_growth", "sensor == '1280 x 720'", {"peak_mb": 1e6}, "it is a benchmark"),
+        ("bench_growth", "bench_growth", "status == 'ok'", {}, None),
+        ("bench_growth", "bench_growth", "status == 'ok'", {"status": "no_match"},
+         "every step was measured"),
+        ("bench_growth", "bench_growth", "status == 'ok'", {"cpu_s": np.nan},
+         "every step was measured"),
+    ],
+)  # fmt: skip
+def test_an_impossible_number_is_found(tmp_path, name, table, where, changed, fault) -> None:
+    """In the first of the committed rows that are so; those of `real` have a table of their own."""
+    study = STUDIES[name]
+    for file in (study.runs.file, *study.reads):
+        copy(RESULTS / file, tmp_path)
+    rows = Results(RESULTS).table(table)
+    for column, value in changed.items():
+        rows.loc[rows.query(where).index[0], column] = value
+    (tmp_path / f"{table}.csv").write_text(csv_text(rows))
+    found = [what for what, check in study.checks if list(check(Results(tmp_path)))]
+    assert (fault in found) if fault else not found
 
 
 def test_flights_of_studies_are_their_own() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, load_pair
 from experiments.studies.efficiency import BoundCell, bound_row, load_flown
 from experiments.worlds import bound
 from experiments.worlds.bound import SAMPLES, Bound, TrueMotion, method_bound
@@ -20,8 +21,6 @@ from ssac.methods.tangency import TangencyConfig
 from ssac.pipeline.api import two_views
 from ssac.rules import FitRules
 from ssac.search.two_views import TwoViews
-from ssac.track.observation import Observation
-from tests.experiments.reported import record_flight
 from tests.ssac import synthetic
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
 
@@ -129,33 +128,21 @@ def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
 
 
 TIMES_S = np.linspace(0.5, 9.5, 181)
-SCENE = make_scene(seed=0, duration_s=10.0)
+SCENE = make_scene(seed=0, duration_s=10.0)  # of `flight_folder`, in camera 1's frame
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of SCENE, camera 1's frame being the world's."""
-    folder = tmp_path_factory.mktemp("recorded")
-    record_flight(folder)
-    return folder
+def truth(flight_folder: Path) -> TrueMotion:
+    return bound.load_truth(flight_folder)
 
 
 @pytest.fixture(scope="module")
-def truth(folder: Path) -> TrueMotion:
-    return bound.load_truth(folder)
+def pair(flight_folder: Path) -> Pair:
+    return load_pair(flight_folder)
 
 
-@pytest.fixture(scope="module")
-def observations() -> tuple[Observation, Observation]:
-    first, second = synthetic.make_events(SCENE, 0, size_m=0.4)
-    return Observation(first), Observation(second)
-
-
-def views_of(
-    observations: tuple[Observation, Observation], t_d_s: float = 0.0, denoise: bool = False
-) -> TwoViews:
-    cam1, cam2 = observations
-    return two_views(cam1, cam2.delayed(t_d_s), SCENE.rig, Config(denoise=denoise))
+def views_of(pair: Pair, t_d_s: float = 0.0, denoise: bool = False) -> TwoViews:
+    return two_views(pair.cam1, pair.cam2.delayed(t_d_s), SCENE.rig, Config(denoise=denoise))
 
 
 def test_the_true_track_is_where_the_cameras_see_the_drone(truth: TrueMotion) -> None:
@@ -185,8 +172,8 @@ def test_the_noise_measured_is_that_of_the_positions() -> None:
     assert robust_deviation(distances) == pytest.approx(0.3, rel=0.1)
 
 
-def test_the_bound_is_that_of_the_true_track_at_the_valid_times(truth, observations) -> None:
-    views = views_of(observations)
+def test_the_bound_is_that_of_the_true_track_at_the_valid_times(truth, pair) -> None:
+    views = views_of(pair)
     found, of_known = (method_bound(one, views, truth) for one in ("ssac", "ssac-known"))
     times_s = views.pairs_at(0.0).times_s
     p1, p2 = track_pair(SCENE, times_s)
@@ -202,11 +189,9 @@ def test_the_bound_is_that_of_the_true_track_at_the_valid_times(truth, observati
     assert found.sigma_px == pytest.approx(5.0 / np.sqrt(1000.0), rel=0.5)
 
 
-def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(
-    truth, observations
-) -> None:
-    views, t_d_s = views_of(observations), 0.5
-    late = views_of(observations, t_d_s)
+def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(truth, pair) -> None:
+    views, t_d_s = views_of(pair), 0.5
+    late = views_of(pair, t_d_s)
     found = {method: method_bound(method, views, truth) for method in SAMPLES}
     for method in ("ssac", "joint", "tangency"):
         assert found[method].sigma_px == found[f"{method}-known"].sigma_px
@@ -223,9 +208,9 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(
     assert 0.7 < share < 1.0
 
 
-def test_samples_are_of_both_views_at_one_instant(observations) -> None:
+def test_samples_are_of_both_views_at_one_instant(pair) -> None:
     for sampler in set(SAMPLES.values()):
-        samples = sampler(views_of(observations), 0.0)
+        samples = sampler(views_of(pair), 0.0)
         assert len(samples.times_s) == len(samples.p1_px) == len(samples.p2_px) > 300
         found, expected = (samples.p1_px, samples.p2_px), track_pair(SCENE, samples.times_s)
         off_px = np.linalg.norm(np.subtract(found, expected), axis=2)
@@ -233,12 +218,14 @@ def test_samples_are_of_both_views_at_one_instant(observations) -> None:
         assert (np.median(off_px, axis=1) < 16.0).all()
 
 
-def test_a_recording_has_all_that_the_bounds_need(folder, observations, truth, monkeypatch) -> None:
-    monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
+def test_a_recording_has_all_that_the_bounds_need(
+    flight_folder, tmp_path, pair, truth, monkeypatch
+) -> None:
+    monkeypatch.setattr(Cache, "recording_folder", lambda *_: flight_folder)
     cell = BoundCell(SimConfig(), 0, 0, Config(), "ssac")
-    loaded = load_flown([cell], Cache(folder))
+    loaded = load_flown([cell], Cache(tmp_path))
     row, known = (bound_row(replace(cell, method=one), loaded) for one in ("ssac", "ssac-known"))
-    expected = method_bound("ssac", views_of(observations, denoise=True), truth)
+    expected = method_bound("ssac", views_of(pair, denoise=True), truth)
     assert (row.sigma_px, row.n_samples) == (expected.sigma_px, expected.n_samples)
     assert row.t_d_bound_ms == 1e3 * expected.bound.t_d_s
     assert row.r_bound_deg == np.rad2deg(expected.bound.R_rad)

@@ -5,8 +5,9 @@ import pytest
 
 from experiments.lab.recorded import Flown, Pair
 from experiments.worlds.spoilt import SCENES, T_D_S, Kind, spoilt_pair
-from sim.disturb import DisturbConfig
+from sim.disturb import DisturbConfig, View, clutter, thinned
 from tests.experiments.reported import DURATION_S, SCENE, flown
+from tests.ssac.synthetic import HEIGHT, WIDTH
 
 SEED = 5
 
@@ -30,16 +31,11 @@ def test_what_a_kind_says_is_added() -> None:
     disturb = DisturbConfig(lamp_px=4, second_object=0.2, intrinsics_error=(1, 3))
     kind = Kind("ordinary", disturb, skew_std_ppm=50)
     flight, other, pair = flown(), flown(1), made(kind)
-    lamp = 16 * 100 * 4 * DURATION_S
-    for camera, plain, second in (
-        (pair.cam1, flight.cam1, other.cam1),
-        (pair.cam2, flight.cam2, other.cam2),
-    ):
-        expected = len(plain.events) + lamp + 0.2 * len(second.events)
-        # Of the second object a share is drawn: 5 deviations of it, and what a lamp's jitter loses.
-        spread = 5 * 0.4 * np.sqrt(len(second.events)) + 20
-        assert len(camera.events) == pytest.approx(expected, abs=spread)
-        assert np.all(np.diff(camera.events["t"]) >= 0)
+    view = View(WIDTH, HEIGHT, DURATION_S)
+    for k in range(2):
+        added = clutter(disturb, view, SEED, k), thinned(other[k].events, 0.2, SEED, k)
+        assert len(pair[k].events) == len(flight[k].events) + sum(map(len, added))
+        assert np.all(np.diff(pair[k].events["t"]) >= 0)
     end_us = pair.cam2.events["t"][-1] - pair.cam1.events["t"][-1]
     skew_us = 0.5 * DURATION_S * kind.skew_of(SEED)
     # Of the lamp's last step in both views, 0.1 ms of jitter each way times a few deviations.

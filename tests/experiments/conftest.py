@@ -1,0 +1,13 @@
+from pathlib import Path
+
+import pytest
+
+from tests.experiments.reported import record_flight
+
+
+@pytest.fixture(scope="session")
+def flight_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 10 s that nobody changes."""
+    folder = tmp_path_factory.mktemp("flight")
+    record_flight(folder)
+    return folder
