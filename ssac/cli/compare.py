@@ -41,7 +41,7 @@ def compare_command(
     Paths are TUM (t x y z qx qy qz qw), csv (t_s,x_m,y_m,z_m) or rows of x y z. Frame, scale, time
     shift and clock rate are found.
     """
-    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, whole_file
+    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, write_whole
     from ssac.network.comparison import compare
     from ssac.network.tum import read_path
     from ssac.pipeline.report import text_of
@@ -54,9 +54,8 @@ def compare_command(
     paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
     found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
     if json_file is not None:
-        text = json.dumps(found.figures(), indent=1, allow_nan=False) + "\n"
-        with whole_file(json_file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        text = json.dumps(found.figures(), indent=1, allow_nan=False)
+        write_whole(json_file, f"{text}\n")
     if plot is not None:
         from ssac.pipeline.plots import save_comparison
 

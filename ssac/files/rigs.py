@@ -15,7 +15,7 @@ from ssac.arrays import Array
 from ssac.camera import Camera, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 
 RIG_SUFFIXES = (".yaml", ".yml")
 
@@ -104,13 +104,7 @@ def save_rig(
             frames = f"--frame-id cam{k - back} --child-frame-id cam{k}"
             lines.append(f"# ros2 run tf2_ros static_transform_publisher {place} {frames}")
     text = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
-    with whole_file(path) as temporary:
-        temporary.write_text("\n".join([*lines, text]), encoding="utf-8")
-
-
-def load_camera(path: Path | str, number: int) -> Camera:
-    """Read one camera of a rig, by its number from 1 on."""
-    return load_rig(path, (number, number)).cam1
+    write_whole(path, "\n".join([*lines, text]))
 
 
 def check_resolution(

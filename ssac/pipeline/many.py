@@ -15,7 +15,7 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.files.rigs import Step, save_rig
-from ssac.files.whole_file import FIGURE_SUFFIXES
+from ssac.files.whole_file import FIGURE_SUFFIXES, write_whole
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
@@ -153,10 +153,12 @@ class NetworkResult:
 
     def report(self, path: Path | str, command: str = "") -> Path:
         """Write a page as `Result.report` does, on all pairs and their network; give its path."""
-        from ssac.pipeline.html_report import save_report
+        from ssac.pipeline.html_report import report_page
 
         unit = _unit(self.scale_is_known)
-        return save_report(Path(path), self.pairs, self.network, self.rows(), command, unit)
+        page = report_page(self.pairs, self.network, self.rows(), command, unit)
+        write_whole(Path(path), page)
+        return Path(path)
 
     def __repr__(self) -> str:
         placed = sum(camera.status == Status.OK for camera in self.network.cameras)

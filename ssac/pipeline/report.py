@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
 from ssac.estimate import Estimate
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
 from ssac.screen import columns, folded
@@ -138,8 +138,7 @@ def save_json(path: Path, told: dict[str, Any]) -> None:
     rows = [
         f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in told.items()
     ]
-    with whole_file(path) as temporary:
-        temporary.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
+    write_whole(path, "{\n" + ",\n".join(rows) + "\n}\n")
 
 
 def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
