@@ -50,7 +50,7 @@ def track_command(
     given = SimpleNamespace(**options)
     from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
-    from ssac.files.rigs import load_camera
+    from ssac.files.rigs import load_rig
     from ssac.files.ros_bags import file_of
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_targets
@@ -67,10 +67,10 @@ def track_command(
     check_targets((out,), (file_of(cam),))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
-    calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"
-    recording = Recording(cam, calibrated, name, Reading(given.allow_damaged, given.sort))
+    calibrated = load_rig(rig, (given.camera, given.camera)).cam1
+    name, reading = f"camera {given.camera} of {rig}", Reading(given.allow_damaged, given.sort)
     with warnings_as_lines():
-        events = recording.read().events
+        events = Recording(cam, calibrated, name, reading).read().events
     config = config_of(OPTIONS, options | {"no_denoise": given.no_denoise or given.faint})
     shape = calibrated.width, calibrated.height
     try:

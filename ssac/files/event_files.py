@@ -71,16 +71,9 @@ _VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     """Read an event file of any format in the table above, by its extension; or BAG/TOPIC of a bag.
 
-    Returns
-    -------
-    EventFile
-        Events, sorted, on the clock of the camera that recorded them; the sensor's size where the
-        file gives it.
-
-    Raises
-    ------
-    SsacError
-        If the file cannot be read, or is damaged or unsorted. The message names the file.
+    Events are sorted, on the clock of the camera that recorded them; the sensor's size is there
+    where the file gives it. SsacError, which names the file, if it cannot be read, is damaged or
+    unsorted.
     """
     path = Path(path)
     if bag_of(path) is not None:

@@ -46,7 +46,7 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         K2, D2, the image's `size`, and R and T where known; radtan unless the key
         `distortion_model` says `equidistant`.
     cameras
-        Numbers of the two that are to be cameras 1 and 2, from 1 on.
+        Numbers of the two that are to be cameras 1 and 2, from 1 on; one may be named twice.
 
     Returns
     -------
