@@ -1,7 +1,6 @@
 """The command `ssac sync`; what takes long to import is imported when it runs, not for its help."""
 
 import webbrowser
-from collections.abc import Callable
 from importlib import import_module
 from itertools import count, takewhile
 from pathlib import Path
@@ -218,11 +217,11 @@ def sync_command(
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         _check_number(given, has_more)
-        call: Callable[..., Any] = sync
-        result = call(
-            *((files, rig, None) if has_more else (*files, rig)),
-            given.method,
-            config,
+        result = sync(
+            files,
+            rig,
+            method=given.method,
+            config=config,
             known_extrinsics=given.known_extrinsics,
             cameras=given.cameras,
             focal_std=None if given.focal_std is None else 0.01 * given.focal_std,
