@@ -58,12 +58,6 @@ class Camera:
         focal_px = GOOD_FOCAL * np.ravel(self.K)[:5:4]
         return (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
 
-    @property
-    def has_centre(self) -> bool:
-        """Whether the principal point lies in the image, as that of any image not cropped does."""
-        pu, pv = self.K[:2, 2]
-        return bool(0.0 <= pu <= self.width - 1 and 0.0 <= pv <= self.height - 1)
-
 
 @dataclass(frozen=True)
 class Rig:

@@ -57,9 +57,9 @@ def compare_command(
         text = json.dumps(found.figures(), indent=1, allow_nan=False)
         write_whole(json_file, f"{text}\n")
     if plot is not None:
-        from ssac.pipeline.plots import save_comparison
+        from ssac.pipeline.plots import draw_comparison, save
 
-        save_comparison(plot, found)
+        save(draw_comparison(found), plot, 130)
     rows = [("at equal times", "no: there are no times in both")]
     if found.in_time is not None:
         clock = found.in_time.clock

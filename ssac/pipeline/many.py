@@ -184,7 +184,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     distance_m, note = known.distance_m, ""
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, distance_m)
-        if distance_m is not None and not _tells_scale(answer):
+        if distance_m is not None and [one.members[:2] for one in answer.built] != [[0, 1]]:
             distance_m, answer = None, solve_pairs(chain, pairs)
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         answer, ground = grounded(answer, known, chain.config.rules.ground)
@@ -194,11 +194,6 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     return NetworkResult(
         names, chain.rig.name, answer, pairs, in_metres, ground, watch.seconds, note
     )
-
-
-def _tells_scale(answer: NetworkAnswer) -> bool:
-    """Whether a distance of the first two cameras is one within the only network."""
-    return [built.members[:2] for built in answer.built] == [[0, 1]]
 
 
 def solve_pairs(

@@ -46,7 +46,9 @@ def report_rows(answer: Answer) -> Rows:
     elif estimate.R is not None and estimate.t is not None:
         rows += _pose_rows(estimate, estimate.R, estimate.t, answer.distance_m)
     if answer.method.input is Input.TRACKS:
-        rows.append(("samples", _samples(answer)))
+        counts = counts_of(answer)
+        times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
+        rows.append(("samples", f"{estimate.n_samples} {counts} used{times}"))
     rows += _clutter_rows(answer)
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
@@ -239,12 +241,6 @@ def counts_of(answer: Answer) -> str:
     if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
         return "pairs"
     return Method.counts if answer.of_start else answer.method.counts
-
-
-def _samples(answer: Answer) -> str:
-    counts = counts_of(answer)
-    times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
-    return f"{answer.estimate.n_samples} {counts} used{times}"
 
 
 def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
