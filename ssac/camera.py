@@ -97,9 +97,7 @@ class Cameras:
 
 
 def with_deviations(
-    camera: Camera,
-    focal: float | None = GOOD_FOCAL,
-    centre_px: float | None = GOOD_CENTRE_PX,
+    camera: Camera, focal: float | None = GOOD_FOCAL, centre_px: float | None = GOOD_CENTRE_PX
 ) -> Camera:
     """Give a camera with other deviations: a share of focal lengths, pixels; None: as it states."""
     said = tuple(camera.intrinsics_std_px)

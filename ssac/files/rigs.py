@@ -227,12 +227,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
 
 
 def _checked_camera(
-    name: str,
-    K: Array,
-    size: Iterable[float],
-    distortion_model: str,
-    coeffs: Array,
-    *more: Any,
+    name: str, K: Array, size: Iterable[float], distortion_model: str, coeffs: Array, *more: Any
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():

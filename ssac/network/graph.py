@@ -139,10 +139,7 @@ def factor_of(estimate: Estimate) -> Array | None:
 
 
 def agreeing(
-    links: Mapping[Pair, Link],
-    members: list[int],
-    states: list[CameraState],
-    rules: NetworkRules,
+    links: Mapping[Pair, Link], members: list[int], states: list[CameraState], rules: NetworkRules
 ) -> dict[Pair, Link]:
     """Give the sure pairs of members that tell nearly what the states say, by places of these."""
     found, places = dict[Pair, Link](), {k: place for place, k in enumerate(members)}

@@ -110,10 +110,7 @@ def script_json(content: Any) -> str:
 
 
 def player_of(
-    answers: Answers,
-    cameras: list[Seen],
-    network: NetworkAnswer | None = None,
-    tour: bool = False,
+    answers: Answers, cameras: list[Seen], network: NetworkAnswer | None = None, tour: bool = False
 ) -> dict[str, Any]:
     """Lay out what the player and the scene draw; with a tour the player starts by itself."""
     scene = scene_of_two(answers[0, 1]) if network is None else scene_of_network(network)

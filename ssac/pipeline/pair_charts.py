@@ -79,11 +79,7 @@ def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
 
 @contextmanager
 def _chart(
-    charts: list[Chart],
-    title: str,
-    words: str,
-    width_in: float = 4.0,
-    height_in: float = 2.0,
+    charts: list[Chart], title: str, words: str, width_in: float = 4.0, height_in: float = 2.0
 ) -> Iterator[Axes]:
     """Give axes of a size, and put what is drawn on them among the charts."""
     left_in, below_in, around_in = 0.75, 0.7, 0.1

@@ -212,10 +212,7 @@ def _pose_rows(
         ("lines of sight", f"{sight_deg(R):.2f} deg apart"),
         ("rotation", f"vector {vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
         ("translation", f"t = {vector(t, 4)}{unit}, {length}{sigmas[1]}"),
-        (
-            "",
-            f"camera 2 {lies} {vector(-R.T @ t, 3)}{unit} of camera 1 (right, down, forward)",
-        ),
+        ("", f"camera 2 {lies} {vector(-R.T @ t, 3)}{unit} of camera 1 (right, down, forward)"),
     ]
     if np.isfinite(estimate.per_focal_deg).all():
         R_deg, t_deg = 0.01 * estimate.per_focal_deg
