@@ -62,19 +62,13 @@ def compare_command(
         save(draw_comparison(found), plot, 130)
     rows = [("at equal times", "no: there are no times in both")]
     if found.in_time is not None:
-        clock = found.in_time.clock
+        clock, off = found.in_time.clock, _in_words(found.in_time.figures())
+        shift = f"truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm"
+        covered = f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered"
+        explained = f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
         rows = [
-            (
-                "clock",
-                f"truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
-                f"holds at {clock.t_ref_s:.3f} s of the estimate's",
-            ),
-            (
-                "at equal times",
-                f"{_in_words(found.in_time.figures())}, "
-                f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
-                f"{100.0 * found.in_time.explained:.2f} % of its motion explained",
-            ),
+            ("clock", f"{shift}; holds at {clock.t_ref_s:.3f} s of the estimate's"),
+            ("at equal times", f"{off}, {covered}, {explained}"),
         ]
     typer.echo(text_of([*rows, ("as shapes, ICP", _in_words(found.as_shape.figures()))]))
 

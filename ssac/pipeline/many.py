@@ -25,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import Rows, html_of, plain, text_of
+from ssac.pipeline.report import Rows, html_of, plain, text_of, vector
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -390,21 +390,15 @@ def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
 def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     if camera.status != Status.OK or camera.R is None or camera.t is None:
         return [(camera.name, f"{camera.status}: {camera.reason}")]
-    stands = "({})".format(", ".join(f"{value:.3f}" for value in -camera.R.T @ camera.t))
+    stands = vector(-camera.R.T @ camera.t, 3)
     turn_deg = np.degrees(Rotation.from_matrix(camera.R).magnitude())
     used = f"{camera.n_samples} of {camera.n_seen} sightings used, {camera.rms_px:.2f} px"
     if not camera.t_d_std_s > 0.0:
         return [(camera.name, f"the first of group {camera.group}"), ("", used)]
+    offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"
+    skew = f"skew {camera.skew_ppm:+.1f} ppm, 1 sigma {camera.skew_std_ppm:.1f}"
+    turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     return [
-        (
-            camera.name,
-            f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms, at "
-            f"{camera.t_ref_s:.2f} s; skew {camera.skew_ppm:+.1f} ppm, 1 sigma "
-            f"{camera.skew_std_ppm:.1f}",
-        ),
-        (
-            "",
-            f"at {stands}{unit}, turned by {turn_deg:.2f} deg, 1 sigma "
-            f"{camera.r_std_deg:.3f}; {used}",
-        ),
+        (camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}"),
+        ("", f"at {stands}{unit}, {turned}; {used}"),
     ]
