@@ -1,24 +1,10 @@
 """Event files of all formats, by their extensions.
 
 An offset is the difference of clocks, so a file is only of use when absolute times survive reading:
+the table in docs/sync.md says of which formats they do.
 
-============  =============================================  ==========================
-suffix        format                                         absolute time
-============  =============================================  ==========================
-.h5, .hdf5    HDF5: ours, DSEC's, Prophesee's (`hdf5`)       kept
-.txt          ESIM text (`text`)                             kept
-.csv          named columns (`text`)                         kept
-.npy, .npz    NumPy's arrays (`numpy_files`)                 kept
-.aedat4       iniVation AEDAT 4 (`makers`)                   kept
-.raw          Prophesee EVT2 (`makers`)                      kept
-.raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
-.dat          Prophesee DAT (`makers`)                       modulo 2^32 us = 71.6 min
-.es           Event Stream (`makers`)                        only if its writer kept it
-.bag          ROS 1 bag (`ros_bags`)                         kept; of EVT3 as of .raw
-.db3, .mcap   ROS 2 bag (`ros_bags`)                         kept; of EVT3 as of .raw
-============  =============================================  ==========================
-
-To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS.
+To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS and
+in that table.
 """
 
 from collections.abc import Callable
@@ -69,7 +55,7 @@ _VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any format in the table above, by its extension; or BAG/TOPIC of a bag.
+    """Read an event file of any of these formats, by its extension; or BAG/TOPIC of a bag.
 
     Events are sorted, on the clock of the camera that recorded them; the sensor's size is there
     where the file gives it. SsacError, which names the file, if it cannot be read, is damaged or

@@ -1,8 +1,7 @@
 """NumPy's own files of events: a structured array (.npy), or an archive with it (.npz).
 
-The array has the fields t [us], x, y and p in any order, as the Metavision SDK's has. An archive
-holds it as `events`, or one array for each of t, x, y and p, and perhaps the sensor's `width` and
-`height`. Nothing in either is unpickled.
+Fields are in any order, as the Metavision SDK has them. An archive has an array `events`, or one of
+each of t, x, y and p, and perhaps the sensor's `width` and `height`. Nothing is unpickled.
 """
 
 from pathlib import Path

@@ -40,21 +40,17 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     Parameters
     ----------
     path
-        A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
-        of a camera is its pose from the one before, `T_cn_cnm2` from that before it, where one in
-        between has none), or what OpenCV's FileStorage writes after a stereo calibration: K1, D1,
-        K2, D2, the image's `size`, and R and T where known; radtan unless the key
-        `distortion_model` says `equidistant`.
+        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). In the first
+        a pose may be from a camera before the last, as `T_cn_cnm2`, where one in between has none;
+        in the second a lens is radtan unless the key `distortion_model` says `equidistant`.
     cameras
         Numbers of the two that are to be cameras 1 and 2, from 1 on; one may be named twice.
 
     Returns
     -------
     Rig
-        Cameras with valid intrinsics; T_2_1 in metres, unless a camera's key `length_unit` is
-        `first_baseline`. Their deviations are those of a camera's key `intrinsics_std` (fu, fv, pu,
-        pv [px], 0 for exact ones), and of a good calibration where there is none
-        (`ssac.camera.Camera`).
+        Cameras with valid intrinsics, whose deviations are those of a good calibration where the
+        file states none; T_2_1 in metres, unless a camera's key `length_unit` says otherwise.
     """
     path = Path(path)
     if path.suffix.lower() not in RIG_SUFFIXES:
