@@ -58,12 +58,6 @@ class Camera:
         focal_px = GOOD_FOCAL * np.ravel(self.K)[:5:4]
         return (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
 
-    @property
-    def has_centre(self) -> bool:
-        """Whether the principal point lies in the image, as that of any image not cropped does."""
-        pu, pv = self.K[:2, 2]
-        return bool(0.0 <= pu <= self.width - 1 and 0.0 <= pv <= self.height - 1)
-
 
 @dataclass(frozen=True)
 class Rig:
@@ -103,9 +97,7 @@ class Cameras:
 
 
 def with_deviations(
-    camera: Camera,
-    focal: float | None = GOOD_FOCAL,
-    centre_px: float | None = GOOD_CENTRE_PX,
+    camera: Camera, focal: float | None = GOOD_FOCAL, centre_px: float | None = GOOD_CENTRE_PX
 ) -> Camera:
     """Give a camera with other deviations: a share of focal lengths, pixels; None: as it states."""
     said = tuple(camera.intrinsics_std_px)

@@ -15,12 +15,6 @@ MIN_SWINGS = 3.5
 """Least times to and fro that a path must go to tell F's 7 parameters and t_d from chance: see
 `ssac.search.two_views.TwoViews.swings`."""
 
-MAX_VALLEY_S = 0.3
-"""Longest valley of the cost curve whose middle is taken for an offset."""
-
-MAX_COUNT = 10_000_000
-"""Largest of all counts: more would fill the memory before anything is found."""
-
 _COUNTS = {
     **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
     **dict.fromkeys(("border_px", "seed"), 0),
@@ -86,7 +80,7 @@ class Config:
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
     min_swings: float = MIN_SWINGS  # of the object, where the pose is unknown
-    max_valley_s: float = MAX_VALLEY_S  # of the cost curve, where the offset is told
+    max_valley_s: float = 0.3  # longest of the cost curve whose middle is taken for an offset
     denoise: bool = True  # first remove hot pixels and isolated events
     skew_prior_ppm: float | None = None  # prior deviation of the clocks' skew; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
@@ -167,7 +161,8 @@ def validated(config: Config | None) -> Config:
         other = 'search="all"' if config.search == "all" else "rates"
         raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
     for name, least in _COUNTS.items():
-        value, most = getattr(config, name), 2**32 - 1 if name == "seed" else MAX_COUNT
+        # More than ten million would fill the memory before anything is found.
+        value, most = getattr(config, name), 2**32 - 1 if name == "seed" else 10_000_000
         is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         is_open = value is None and getattr(Config, name) is None
         if not (is_open or (is_whole and least <= value <= most)):

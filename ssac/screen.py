@@ -26,9 +26,5 @@ def folded(text: str, width: int, indent: int = 0) -> list[str]:
     All but the first begin with an indent, which is within the width.
     """
     return textwrap.wrap(
-        text,
-        width,
-        subsequent_indent=" " * indent,
-        break_long_words=False,
-        break_on_hyphens=False,
+        text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
     ) or [""]

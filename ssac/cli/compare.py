@@ -41,7 +41,7 @@ def compare_command(
     Paths are TUM (t x y z qx qy qz qw), csv (t_s,x_m,y_m,z_m) or rows of x y z. Frame, scale, time
     shift and clock rate are found.
     """
-    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, whole_file
+    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, write_whole
     from ssac.network.comparison import compare
     from ssac.network.tum import read_path
     from ssac.pipeline.report import text_of
@@ -54,28 +54,21 @@ def compare_command(
     paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
     found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
     if json_file is not None:
-        text = json.dumps(found.figures(), indent=1, allow_nan=False) + "\n"
-        with whole_file(json_file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        text = json.dumps(found.figures(), indent=1, allow_nan=False)
+        write_whole(json_file, f"{text}\n")
     if plot is not None:
-        from ssac.pipeline.plots import save_comparison
+        from ssac.pipeline.plots import draw_comparison, save
 
-        save_comparison(plot, found)
+        save(draw_comparison(found), plot, 130)
     rows = [("at equal times", "no: there are no times in both")]
     if found.in_time is not None:
-        clock = found.in_time.clock
+        clock, off = found.in_time.clock, _in_words(found.in_time.figures())
+        shift = f"truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm"
+        covered = f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered"
+        explained = f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
         rows = [
-            (
-                "clock",
-                f"truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
-                f"holds at {clock.t_ref_s:.3f} s of the estimate's",
-            ),
-            (
-                "at equal times",
-                f"{_in_words(found.in_time.figures())}, "
-                f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
-                f"{100.0 * found.in_time.explained:.2f} % of its motion explained",
-            ),
+            ("clock", f"{shift}; holds at {clock.t_ref_s:.3f} s of the estimate's"),
+            ("at equal times", f"{off}, {covered}, {explained}"),
         ]
     typer.echo(text_of([*rows, ("as shapes, ICP", _in_words(found.as_shape.figures()))]))
 

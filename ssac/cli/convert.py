@@ -27,16 +27,13 @@ OPTIONS = {
         number("Number of this camera in the rig.", 1, 1000, metavar="K"), type=int, default=1
     ),
     "no_denoise": NO_DENOISE,
-    "faint": Option(
-        flag(
-            "faint",
-            "Follow an object so small and far away that the noise filter would remove its"
-            " events. Usually with --half-window 0.05 --n-min 8.",
-        )
-    ),
+    "faint": Option(flag(
+        "faint", "Follow an object so small and far away that the noise filter would remove its"
+        " events. Usually with --half-window 0.05 --n-min 8.",
+    )),
     **READING,
     **OF_EVENTS,
-}
+}  # fmt: skip
 
 
 @with_options(OPTIONS)
@@ -50,7 +47,7 @@ def track_command(
     given = SimpleNamespace(**options)
     from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
-    from ssac.files.rigs import load_camera
+    from ssac.files.rigs import load_rig
     from ssac.files.ros_bags import file_of
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_targets
@@ -67,10 +64,10 @@ def track_command(
     check_targets((out,), (file_of(cam),))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
-    calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"
-    recording = Recording(cam, calibrated, name, Reading(given.allow_damaged, given.sort))
+    calibrated = load_rig(rig, (given.camera, given.camera)).cam1
+    name, reading = f"camera {given.camera} of {rig}", Reading(given.allow_damaged, given.sort)
     with warnings_as_lines():
-        events = recording.read().events
+        events = Recording(cam, calibrated, name, reading).read().events
     config = config_of(OPTIONS, options | {"no_denoise": given.no_denoise or given.faint})
     shape = calibrated.width, calibrated.height
     try:

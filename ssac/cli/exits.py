@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ssac.errors import PluginError, SsacError
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 from ssac.screen import columns, folded
 
 DONE = 0
@@ -115,8 +115,7 @@ def _bug_line(error: Exception) -> str:
     ]
     try:
         path = Path(tempfile.mkdtemp(prefix="ssac-bug-")) / "traceback.txt"
-        with whole_file(path) as temporary:
-            temporary.write_text("".join(lines), encoding="utf-8")
+        write_whole(path, "".join(lines))
     except OSError as unwritten:
         where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
     else:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
 from ssac.files.damage import Reading
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
 from ssac.files.rigs import RIG_SUFFIXES
@@ -80,12 +81,20 @@ def write_outputs(
     if outputs.json_file is not None:
         save_json(outputs.json_file, result.to_dict())
         tell(f"wrote {outputs.json_file}")
-    if isinstance(result, Result):
-        _write_of_two(result, outputs, cam2, reading, known, clock, tell)
-    else:
-        from ssac.pipeline.many import write_many
+    synced, trajectory, rig = outputs.write_synced, outputs.trajectory, outputs.write_rig
+    if synced is not None and isinstance(result, Result):  # of more cameras it is refused
+        if result.estimate.has_offset:
+            with clock.part("write") as say:
+                say(_write_synced(synced, result.estimate, cam2, reading))
+        else:
+            tell(f"not written: {synced}, since there is no reliable offset")
+    if trajectory is not None or rig is not None:
+        from ssac.pipeline.many import write_many, write_two
 
-        write_many(result, outputs.trajectory, outputs.write_rig, tell)
+        if isinstance(result, Result):
+            write_two(result.answer, known, trajectory, rig, tell)
+        else:
+            write_many(result, trajectory, rig, tell)
     if outputs.plot is not None:
         with clock.part("draw") as say:
             drawn = result.plotted(outputs.plot)
@@ -95,33 +104,16 @@ def write_outputs(
             say(str(result.report(outputs.report, shlex.join(["ssac", *sys.argv[1:]]))))
 
 
-def _write_of_two(
-    result: Result,
-    outputs: Outputs,
-    cam2: Path,
-    reading: Reading,
-    known: Known,
-    clock: Stopwatch,
-    tell: Log,
-) -> None:
-    estimate, synced = result.estimate, outputs.write_synced
-    if synced is not None and not estimate.has_offset:
-        tell(f"not written: {synced}, since there is no reliable offset")
-    elif synced is not None:
-        with clock.part("write") as say:
-            # Read again, whole: what is in memory has been denoised.
-            if is_track_file(cam2):
-                track = load_track(cam2)
-                times_s = estimate.clock.cam1_from_cam2(track.times_s)
-                save_track(synced, replace(track, times_s=times_s))
-            else:
-                write_synced(synced, load_events(cam2, reading), estimate.clock)
-            is_sure = np.isfinite(estimate.t_d_std_s)
-            say(str(synced) if is_sure else f"{synced}, by an offset of unknown accuracy")
-    if outputs.trajectory is not None or outputs.write_rig is not None:
-        from ssac.pipeline.many import write_two
-
-        write_two(result.answer, known, outputs.trajectory, outputs.write_rig, tell)
+def _write_synced(file: Path, estimate: Estimate, cam2: Path, reading: Reading) -> str:
+    """Write camera 2's recording on camera 1's clock; read again, as that in memory is denoised."""
+    if is_track_file(cam2):
+        track = load_track(cam2)
+        times_s = estimate.clock.cam1_from_cam2(track.times_s)
+        save_track(file, replace(track, times_s=times_s))
+    else:
+        write_synced(file, load_events(cam2, reading), estimate.clock)
+    is_sure = np.isfinite(estimate.t_d_std_s)
+    return str(file) if is_sure else f"{file}, by an offset of unknown accuracy"
 
 
 def known_of(

@@ -10,8 +10,6 @@ from tqdm import tqdm
 EVERY_S = 30.0
 """Time after which a line is due, at the next thing that is done."""
 
-_MINUTES = tqdm.format_interval
-
 Advance = Callable[[int], object]
 """Takes how many are done by now."""
 
@@ -47,9 +45,9 @@ def _lines(total: int, label: str, is_brief: bool) -> Advance:
             return
         says_tenths, n_tenths, said_s = True, tenths, now_s
         taken_s = now_s - begun_s
-        line = f"{label}: {n_done} of {total} done after {_MINUTES(taken_s)}"
+        line = f"{label}: {n_done} of {total} done after {tqdm.format_interval(taken_s)}"
         if 0 < n_done < total:
-            line += f", {_MINUTES(taken_s / n_done * (total - n_done))} left"
+            line += f", {tqdm.format_interval(taken_s / n_done * (total - n_done))} left"
         say(line)
 
     return advance

@@ -114,7 +114,9 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:
-        kept = _longest(events) if reading.allow_damaged else events
+        kept = events
+        if reading.allow_damaged:  # the largest of the parts between which it does
+            kept = max(np.split(events, np.flatnonzero(is_back | is_leap) + 1), key=len)
         lost = len(events) - len(kept)
         if lost:
             signs.append(
@@ -124,13 +126,6 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         events = kept
     refuse_damaged(path, signs, reading)
     return events
-
-
-def _longest(events: Events) -> Events:
-    """Keep, of the parts between which time runs back or leaps, the largest."""
-    steps_us = np.diff(events["t"])
-    breaks = np.flatnonzero((steps_us < 0) | (steps_us > _LONGEST_GAP_US))
-    return max(np.split(events, breaks + 1), key=len)
 
 
 def noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:

@@ -18,7 +18,7 @@ from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.readable import is_number, readable
 from ssac.files.track_files import save_track
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 from ssac.points import PointTrack
 
 OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2")}
@@ -63,9 +63,8 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
     out.mkdir(parents=True, exist_ok=True)
     for camera in cameras:
         save_track(out / f"{camera.name}.csv", camera.track)
-    with whole_file(out / "rig.yaml") as temporary:
-        rig = {camera.name: camera.rig for camera in cameras}
-        temporary.write_text(yaml.safe_dump(rig, sort_keys=False), encoding="utf-8")
+    rig = {camera.name: camera.rig for camera in cameras}
+    write_whole(out / "rig.yaml", yaml.safe_dump(rig, sort_keys=False))
     return cameras
 
 

@@ -1,30 +1,14 @@
 """Event files of all formats, by their extensions.
 
 An offset is the difference of clocks, so a file is only of use when absolute times survive reading:
+the table in docs/sync.md says of which formats they do.
 
-============  =============================================  ==========================
-suffix        format                                         absolute time
-============  =============================================  ==========================
-.h5, .hdf5    HDF5: ours, DSEC's, Prophesee's (`hdf5`)       kept
-.txt          ESIM text (`text`)                             kept
-.csv          named columns (`text`)                         kept
-.npy, .npz    NumPy's arrays (`numpy_files`)                 kept
-.aedat4       iniVation AEDAT 4 (`makers`)                   kept
-.raw          Prophesee EVT2 (`makers`)                      kept
-.raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
-.dat          Prophesee DAT (`makers`)                       modulo 2^32 us = 71.6 min
-.es           Event Stream (`makers`)                        only if its writer kept it
-.bag          ROS 1 bag (`ros_bags`)                         kept; of EVT3 as of .raw
-.db3, .mcap   ROS 2 bag (`ros_bags`)                         kept; of EVT3 as of .raw
-============  =============================================  ==========================
-
-To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS.
+To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS and
+in that table.
 """
 
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,52 +19,33 @@ from ssac.files.damage import STRICT, Reading
 from ssac.files.readable import check_is_file
 from ssac.files.ros_bags import BAG_SUFFIXES, bag_of, load_events_bag
 
-
-class Format(NamedTuple):
-    """How files of an extension are read and written: functions of a module, by their names."""
-
-    module: str  # of this folder
-    reader: str  # (path, reading) -> EventFile
-    writer: str = ""  # (path, events, width, height); empty: none
-
-    def function(self, name: str) -> Callable[..., Any]:
-        """Import its reader or writer."""
-        found: Callable[..., Any] = getattr(import_module(f"ssac.files.{self.module}"), name)
-        return found
-
-
 FORMATS = {
-    suffix: form
-    for suffixes, form in (
-        (".txt", Format("text", "load_events_text", "save_events_text")),
-        (".csv", Format("text", "load_events_csv")),
-        (".h5 .hdf5", Format("hdf5", "load_events_h5", "save_events_h5")),
-        (".npy .npz", Format("numpy_files", "load_events_numpy", "save_events_numpy")),
-        (".aedat4 .raw .dat .es", Format("makers", "load_makers_file")),
-        (" ".join(BAG_SUFFIXES), Format("ros_bags", "load_events_bag")),
+    suffix: (f"ssac.files.{module}", *functions.split())
+    for suffixes, module, functions in (
+        (".txt", "text", "load_events_text save_events_text"),
+        (".csv", "text", "load_events_csv"),
+        (".h5 .hdf5", "hdf5", "load_events_h5 save_events_h5"),
+        (".npy .npz", "numpy_files", "load_events_numpy save_events_numpy"),
+        (".aedat4 .raw .dat .es", "makers", "load_makers_file"),
+        (" ".join(BAG_SUFFIXES), "ros_bags", "load_events_bag"),
     )
     for suffix in suffixes.split()
 }
+"""By extension a module, which is imported when it is needed, its function (path, reading) that
+reads an EventFile, and perhaps one (path, events, width, height) that writes it."""
 
-WRITTEN = tuple(suffix for suffix, form in FORMATS.items() if form.writer)
+WRITTEN = tuple(suffix for suffix, (_, *functions) in FORMATS.items() if len(functions) == 2)
 """Extensions of the formats that can be written."""
 
 _VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any format in the table above, by its extension; or BAG/TOPIC of a bag.
+    """Read an event file of any of these formats, by its extension; or BAG/TOPIC of a bag.
 
-    Returns
-    -------
-    EventFile
-        Events, sorted, on the clock of the camera that recorded them; the sensor's size where the
-        file gives it.
-
-    Raises
-    ------
-    SsacError
-        If the file cannot be read, or is damaged or unsorted. The message names the file.
+    Events are sorted, on the clock of the camera that recorded them; the sensor's size is there
+    where the file gives it. SsacError, which names the file, if it cannot be read, is damaged or
+    unsorted.
     """
     path = Path(path)
     if bag_of(path) is not None:
@@ -88,8 +53,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     if path.is_dir():
         raise SsacError(f"{path}: is a folder: give a file of one camera's events in it")
     suffix = path.suffix.lower()
-    form = FORMATS.get(suffix)
-    if form is None:
+    if suffix not in FORMATS:
         way = "; of a video, give the object's track (docs/sync.md, Tracks of any camera)"
         raise SsacError(
             f"{path}: unknown extension {path.suffix!r}: use one of {', '.join(sorted(FORMATS))}"
@@ -98,7 +62,8 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     check_is_file(path)
     if path.stat().st_size == 0:
         raise SsacError(f"{path}: the file is empty (0 bytes): record or copy it again")
-    found: EventFile = form.function(form.reader)(path, reading)
+    module, reader, *_ = FORMATS[suffix]
+    found: EventFile = getattr(import_module(module), reader)(path, reading)
     return found
 
 
@@ -111,8 +76,8 @@ def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
         events["t"] -= round(clock.t_d_s * US_PER_S)
     else:
         events["t"] = np.rint(US_PER_S * clock.cam1_from_cam2(events["t"] / US_PER_S))
-    form = FORMATS[path.suffix.lower()]
-    form.function(form.writer)(path, events, cam2.width, cam2.height)
+    module, _, writer = FORMATS[path.suffix.lower()]
+    getattr(import_module(module), writer)(path, events, cam2.width, cam2.height)
 
 
 def check_written(path: Path, suffixes: tuple[str, ...] = WRITTEN) -> None:

@@ -26,7 +26,6 @@ from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
-FIELDS = ("t", "x", "y", "p")
 
 EVENTS_PER_BLOCK = 1 << 18  # read at once: they stay in the processor's cache until in place
 BYTES_PER_BLOCK = 1 << 24  # of frames read at once when each of them is summed up
@@ -38,9 +37,9 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
     with readable(path, _KIND), h5py.File(path, "r") as file:
         size_px = _sensor_size(file, path)
         cd = _dataset(file, "CD/events", path)
-        columns = {field: _dataset(file, f"events/{field}", path) for field in FIELDS}
+        columns = {field: _dataset(file, f"events/{field}", path) for field in "txyp"}
         if cd is not None:
-            if cd.ndim != 1 or not set(FIELDS) <= set(cd.dtype.names or ()):
+            if cd.ndim != 1 or not set("txyp") <= set(cd.dtype.names or ()):
                 raise SsacError(
                     f"{path}: CD/events must be a list of x, y, p, t, got the shape {cd.shape} of "
                     f"{cd.dtype}: convert it again"
@@ -52,11 +51,9 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
             signs = [sign for column in columns.values() for sign in _signs_of_loss(column)]
             refuse_damaged(path, signs, reading)
             events = _read_blocks(
-                len(columns["t"]), lambda block: {f: columns[f][block] for f in FIELDS}, path
+                len(columns["t"]), lambda block: {f: columns[f][block] for f in "txyp"}, path
             )
-            offset_us = _offset_us(file, path)
-            if offset_us:
-                events["t"] += offset_us
+            events["t"] += _offset_us(file, path)
         else:
             has = f"{sorted(file)[:5]}{' and more' if len(file) > 5 else ''}"
             raise SsacError(
@@ -101,7 +98,7 @@ def save_events_h5(path: Path | str, events: Events, width: int | None, height: 
     """Write events in our HDF5 layout, with the sensor's size [px] where it is known."""
     check_writable(Path(path), EVENT_DTYPE.itemsize * len(events))
     with whole_file(Path(path)) as temporary, h5py.File(temporary, "w") as file:
-        for field in FIELDS:
+        for field in "txyp":
             file[f"events/{field}"] = events[field]
         for key, value in (("width", width), ("height", height)):
             if value is not None:
@@ -115,7 +112,7 @@ def _read_blocks(
     for first in range(0, n_events, EVENTS_PER_BLOCK):
         block = slice(first, first + EVENTS_PER_BLOCK)
         columns = read(block)
-        for field in FIELDS:
+        for field in "txyp":
             events[field][block] = field_values(field, columns[field], str(path))
     return events
 

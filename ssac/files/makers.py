@@ -4,15 +4,9 @@ An Event Stream file has no place for its absolute start: faery and others subtr
 timestamp on writing, so a file that starts at time 0 gives a warning. RAW, DAT and ES files have no
 end mark: a truncated one is a shorter recording.
 
-What is damaged in the middle faery passes over, or is taken down by it, so this is looked at
-before. What a sensor writes has none of these:
-
-    EVT2, EVT3  words of unknown type, or that continue nothing; a clock that runs back, or leaps
-                where it is written all the time; one and the same word again and again
-    DAT         a polarity that is none, a clock that runs back, one and the same event again and
-                again
-    AEDAT 4     a size that is nonsense, for which faery takes as much memory and ends the process
-                when there is none; a packet of a stream that is none
+What is damaged in the middle faery passes over, or is taken down by it: of an AEDAT 4 file it takes
+as much memory as a size that is nonsense says, and ends the process when there is none. So signs of
+damage that no sensor writes, which docs/security.md lists, are looked for before.
 """
 
 import re

@@ -1,8 +1,7 @@
 """NumPy's own files of events: a structured array (.npy), or an archive with it (.npz).
 
-The array has the fields t [us], x, y and p in any order, as the Metavision SDK's has. An archive
-holds it as `events`, or one array for each of t, x, y and p, and perhaps the sensor's `width` and
-`height`. Nothing in either is unpickled.
+Fields are in any order, as the Metavision SDK has them. An archive has an array `events`, or one of
+each of t, x, y and p, and perhaps the sensor's `width` and `height`. Nothing is unpickled.
 """
 
 from pathlib import Path
@@ -18,8 +17,6 @@ from ssac.files.damage import STRICT, Reading, checked_file, noting_unit
 from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
-_FIELDS = ("t", "x", "y", "p")
-
 
 def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read events that NumPy saved."""
@@ -28,7 +25,7 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
             arrays = {"events": np.array(np.load(path, mmap_mode="r", allow_pickle=False))}
         else:
             with np.load(path, allow_pickle=False) as archive:
-                wanted = {"events", *_FIELDS, "width", "height"}.intersection(archive.files)
+                wanted = {"events", *"txyp", "width", "height"}.intersection(archive.files)
                 arrays = {name: archive[name] for name in wanted}
     width, height = (
         side_px(arrays[name], f"{name} must be a number of", path) if name in arrays else None
@@ -56,8 +53,8 @@ def save_events_numpy(
 def _events(arrays: dict[str, NDArray[Any]], path: Path) -> Events:
     if "events" in arrays and arrays["events"].ndim == 1:
         return events_of_array(arrays["events"], str(path))
-    if all(field in arrays for field in _FIELDS):
-        t, x, y, p = (arrays[field] for field in _FIELDS)
+    if all(field in arrays for field in "txyp"):
+        t, x, y, p = (arrays[field] for field in "txyp")
         return events_from_arrays(t, x, y, p, name=str(path))
     raise SsacError(
         f"{path}: expected a structured array with the fields t [us], x, y and p (in an archive as"

@@ -15,7 +15,7 @@ from ssac.arrays import Array
 from ssac.camera import Camera, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 
 RIG_SUFFIXES = (".yaml", ".yml")
 
@@ -40,21 +40,17 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     Parameters
     ----------
     path
-        A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
-        of a camera is its pose from the one before, `T_cn_cnm2` from that before it, where one in
-        between has none), or what OpenCV's FileStorage writes after a stereo calibration: K1, D1,
-        K2, D2, the image's `size`, and R and T where known; radtan unless the key
-        `distortion_model` says `equidistant`.
+        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). In the first
+        a pose may be from a camera before the last, as `T_cn_cnm2`, where one in between has none;
+        in the second a lens is radtan unless the key `distortion_model` says `equidistant`.
     cameras
-        Numbers of the two that are to be cameras 1 and 2, from 1 on.
+        Numbers of the two that are to be cameras 1 and 2, from 1 on; one may be named twice.
 
     Returns
     -------
     Rig
-        Cameras with valid intrinsics; T_2_1 in metres, unless a camera's key `length_unit` is
-        `first_baseline`. Their deviations are those of a camera's key `intrinsics_std` (fu, fv, pu,
-        pv [px], 0 for exact ones), and of a good calibration where there is none
-        (`ssac.camera.Camera`).
+        Cameras with valid intrinsics, whose deviations are those of a good calibration where the
+        file states none; T_2_1 in metres, unless a camera's key `length_unit` says otherwise.
     """
     path = Path(path)
     if path.suffix.lower() not in RIG_SUFFIXES:
@@ -104,13 +100,7 @@ def save_rig(
             frames = f"--frame-id cam{k - back} --child-frame-id cam{k}"
             lines.append(f"# ros2 run tf2_ros static_transform_publisher {place} {frames}")
     text = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
-    with whole_file(path) as temporary:
-        temporary.write_text("\n".join([*lines, text]), encoding="utf-8")
-
-
-def load_camera(path: Path | str, number: int) -> Camera:
-    """Read one camera of a rig, by its number from 1 on."""
-    return load_rig(path, (number, number)).cam1
+    write_whole(path, "\n".join([*lines, text]))
 
 
 def check_resolution(
@@ -233,12 +223,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
 
 
 def _checked_camera(
-    name: str,
-    K: Array,
-    size: Iterable[float],
-    distortion_model: str,
-    coeffs: Array,
-    *more: Any,
+    name: str, K: Array, size: Iterable[float], distortion_model: str, coeffs: Array, *more: Any
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():

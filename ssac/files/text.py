@@ -1,9 +1,7 @@
-"""Text recordings: ESIM text, and comma-separated values.
+"""Text recordings: ESIM text, and comma-separated values (docs/sync.md).
 
-ESIM text is `t x y p` per line, t in seconds, with an optional first line `width height`. The csv
-form has a first line that names its columns (t, x, y and p, in any order), t in whole microseconds;
-names may carry the sensor's size as faery writes it (`x@346`), and `on` stands for `p`. Polarity of
-a darker event is 0 or -1.
+Names of a csv file's columns may carry the sensor's size as faery writes it (`x@346`), and `on`
+stands for `p`. Polarity of a darker event is 0 or -1.
 """
 
 import csv

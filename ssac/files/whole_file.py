@@ -68,6 +68,12 @@ def whole_file(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Write a file of text as `whole_file` does."""
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def check_writable(path: Path, n_bytes: int = 0) -> None:
     """Raise WriteError, before any work is done, when a file of so many bytes cannot be written."""
     if path.is_dir():

@@ -46,8 +46,9 @@ class Fit:
 
     @property
     def rms_px(self) -> float:
-        """Robust deviation of a coordinate."""
-        return deviation_px(self.linear.residuals[self.used])
+        """Robust deviation of a coordinate; NaN where nothing is used."""
+        used = self.linear.residuals[self.used]
+        return robust_deviation(used) if len(used) else np.nan
 
 
 def border_offsets(network: Network) -> IntArray:
@@ -140,11 +141,6 @@ def known(network: Network) -> tuple[Array, Array]:
     places = offsets[1] + np.arange(layout.TRANSLATION.start, layout.TRANSLATION.stop)
     add(places, t / length**2 / scale_std, off)
     return np.array(rows), np.array(residuals)
-
-
-def deviation_px(residuals_px: Array) -> float:
-    """Give the robust deviation [px] of a coordinate."""
-    return robust_deviation(residuals_px) if len(residuals_px) else np.nan
 
 
 def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple[Network, Solved]:
@@ -240,7 +236,7 @@ def _weighed(network: Network, solved: Solved) -> Network:
         lever = np.einsum("nix,nxy,niy->n", by_point, covariances, by_point)
         lever = lever / (share * network.sigmas_px[k]) ** 2
         left = max(0.1, 1.0 - 0.5 * float(np.median(lever)))
-        sigmas[k] = deviation_px(over) / np.sqrt(left)
+        sigmas[k] = robust_deviation(over) / np.sqrt(left)
     sigmas = _alike(sigmas, network.cameras)
     least = max(rules.least_sigma_share * float(np.median(sigmas)), rules.least_sigma_px)
     first, weights = jerks(network.path.knots_s)
@@ -292,7 +288,7 @@ def _taken_up(network: Network) -> float:
 
 def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
     """Count the sightings (n, 2) that tell as much as one: 1 + 2 sum of their correlations."""
-    limit = 3.0 * deviation_px(residuals) + 1e-12
+    limit = 3.0 * robust_deviation(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
     variance = float(np.mean(clipped**2))
     interval_s = float(np.median(np.diff(times_s)))
@@ -311,7 +307,7 @@ def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
 
 def repeats_in_blocks(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
     """Count as `repeats_of` does, by sums of blocks: what lasts in silhouettes is small."""
-    deviation = deviation_px(residuals) + 1e-12
+    deviation = robust_deviation(residuals) + 1e-12
     clipped = np.clip(residuals / deviation, -3.0, 3.0)
     blocks = np.floor((times_s - times_s[0]) / rules.block_s).astype(np.int64)
     sums = np.stack([np.bincount(blocks, axis) for axis in clipped.T])

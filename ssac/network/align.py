@@ -116,8 +116,7 @@ class InTime:
 
 def interpolated(path: Path) -> InTime:
     """Give Akima's cubics through all points: no gap and no outlier swings beyond two."""
-    curve = Akima1DInterpolator(path.times_s, path.positions_m, axis=0)
-    return InTime(path.times_s, curve)
+    return InTime(path.times_s, Akima1DInterpolator(path.times_s, path.positions_m, axis=0))
 
 
 def smoothed(path: Path) -> InTime:

@@ -56,13 +56,10 @@ def _supported(
     """Give each camera's sightings' network times, and which of them another camera shares."""
     times = [network_times(state, seen) for state, seen in zip(states, cameras, strict=True)]
     reaches_s = [max(reach_s, 2.5 * seen.interval_s) for seen in cameras]
-    masks = list[Mask]()
-    for k, own_s in enumerate(times):
-        near: Mask = np.zeros(len(own_s), dtype=np.bool_)
-        for j, other_s in enumerate(times):
-            if j != k:
-                near |= is_near(own_s, other_s, reaches_s[j])
-        masks.append(near)
+    masks = [
+        np.any([is_near(at_s, times[j], reaches_s[j]) for j in range(len(times)) if j != k], axis=0)
+        for k, at_s in enumerate(times)
+    ]
     return times, masks
 
 

@@ -58,14 +58,10 @@ class Link:
         told_R, told_t, R = np.asarray(self.R), np.asarray(self.t), b.R @ a.R.T
         t = b.t - R @ a.t
         t = t / np.linalg.norm(t)
-        return np.concatenate(
-            [
-                self.offset_off_s(a, b),
-                Rotation.from_matrix(told_R @ R.T).as_rotvec(),
-                tangent_basis(told_t) @ (told_t - t),
-                [PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0],
-            ]
-        )
+        turn = Rotation.from_matrix(told_R @ R.T).as_rotvec()
+        direction = tangent_basis(told_t) @ (told_t - t)
+        skew = PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0
+        return np.concatenate([self.offset_off_s(a, b), turn, direction, [skew]])
 
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
@@ -139,10 +135,7 @@ def factor_of(estimate: Estimate) -> Array | None:
 
 
 def agreeing(
-    links: Mapping[Pair, Link],
-    members: list[int],
-    states: list[CameraState],
-    rules: NetworkRules,
+    links: Mapping[Pair, Link], members: list[int], states: list[CameraState], rules: NetworkRules
 ) -> dict[Pair, Link]:
     """Give the sure pairs of members that tell nearly what the states say, by places of these."""
     found, places = dict[Pair, Link](), {k: place for place, k in enumerate(members)}

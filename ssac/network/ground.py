@@ -29,20 +29,16 @@ class Ground:
 def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
     """Fit three cameras or more to where they are said to stand; SsacError if that is not so."""
     said = load_positions(file)
-    here, there = [], []
-    for k, position in said.items():
-        camera = answer.cameras[k - 1] if k <= len(answer.cameras) else None
-        if camera is not None and camera.group == 1 and camera.centre is not None:
-            here.append(camera.centre)
-            there.append(position)
+    placed = {k: one.centre for k, one in enumerate(answer.cameras, 1) if one.group == 1}
+    here, there = (np.array([of[k] for k in said if k in placed]) for of in (placed, said))
     if len(here) < 3:
         raise SsacError(
             f"{file}: positions of at least 3 cameras of the network are needed, got {len(here)}: "
             "add some, or give --distance"
         )
-    found = similarity(np.array(here), np.array(there))
-    off_m = np.linalg.norm(found.apply(np.array(here)) - np.array(there), axis=1)
-    spread_m = np.linalg.norm(np.array(there) - np.mean(there, axis=0), axis=1)
+    found = similarity(here, there)
+    off_m = np.linalg.norm(found.apply(here) - there, axis=1)
+    spread_m = np.linalg.norm(there - np.mean(there, axis=0), axis=1)
     rms_m, extent_m = float(np.sqrt(np.mean(off_m**2))), float(np.sqrt(np.mean(spread_m**2)))
     if rms_m > rules.max_off_share * extent_m:
         raise SsacError(

@@ -159,7 +159,6 @@ class Solved:
     free: IntArray  # (f,) of the border's
     factor: Array  # (BAND, m) of the band
     half: Array  # (f, m) L^-1 of what path and cameras share, L being the factor
-    spans: IntArray  # (f, 2) where that is not 0
     schur: tuple[Array, bool] = field(repr=False)
 
     def border_covariance(self) -> Array:
@@ -174,7 +173,7 @@ class Solved:
         if with_cameras and len(self.free):
             # The path moves by -spread' when the cameras do, which adds spread' S^-1 spread to its
             # covariance, of which points need the band alone.
-            spread, spans = _backward(self.factor, self.half, self.spans)
+            spread, spans = _backward(self.factor, self.half)
             cameras = cho_solve(self.schur, np.eye(len(self.free)))
             for start, stop, active in _blocks(spans, spread.shape[1], BAND - 1):
                 part = spread[active, start : stop + BAND - 1]
@@ -193,7 +192,7 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     band[0] *= 1.0 + damping
     factor = np.asarray(cholesky_banded(band, lower=True), np.float64)
     half, spans = _forward(factor, normal.mixed, free)
-    alone, whole = _forward(factor, normal.right_path[None], np.zeros(1, np.int64))
+    alone, _ = _forward(factor, normal.right_path[None], np.zeros(1, np.int64))
     border = normal.border[np.ix_(free, free)]
     schur = border + damping * np.diag(np.diag(border))
     right = normal.right_border[free]
@@ -209,11 +208,10 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     step = cho_solve((chol, low), right)
     for start, stop, active in blocks:
         alone[0, start:stop] -= step[active] @ half[active, start:stop]
-    whole[0] = 0, len(normal.right_path)
-    path = _backward(factor, alone, whole)[0][0]
+    path = _backward(factor, alone)[0][0]
     full = np.zeros(len(normal.right_border))
     full[free] = step
-    return Solved(path.reshape(-1, 3), full, free, factor, half, spans, (chol, low))
+    return Solved(path.reshape(-1, 3), full, free, factor, half, (chol, low))
 
 
 def _blocks(spans: IntArray, m: int, more: int = 0) -> Iterator[tuple[int, int, IntArray]]:
@@ -290,25 +288,14 @@ def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntA
     return solved, spans
 
 
-@numba.njit(cache=True)
-def _backward(factor: Array, right: Array, spans: IntArray) -> tuple[Array, IntArray]:
-    """Solve L' y = x for rows x, each of a span as of `forward`, which gives y alike."""
-    m = factor.shape[1]
-    solved, found = np.zeros(right.shape), np.zeros(spans.shape, np.int64)
-    for k in range(len(right)):
-        given, own = right[k], solved[k]
-        start, stop = spans[k, 0], spans[k, 1]
-        largest, faded, i = 0.0, 0, stop - 1
-        while i >= 0 and (i >= start or faded < BAND - 1):
-            value = given[i]
-            for j in range(1, min(BAND - 1, m - 1 - i) + 1):
-                value -= factor[j, i] * own[i + j]
-            own[i] = value / factor[0, i]
-            largest = max(largest, abs(own[i]))
-            faded = faded + 1 if abs(own[i]) <= 1e-18 * largest else 0
-            i -= 1
-        found[k, 0], found[k, 1] = i + 1, stop
-    return solved, found
+def _backward(factor: Array, right: Array) -> tuple[Array, IntArray]:
+    """Solve L' y = x for rows x (f,): as `_forward`, from the end on, which mirrors the band."""
+    mirrored = np.zeros_like(factor)
+    for down, entries in enumerate(factor):
+        mirrored[down, : len(entries) - down] = entries[len(entries) - 1 - down :: -1]
+    from_end = np.ascontiguousarray(right[:, ::-1])
+    solved, spans = _forward(mirrored, from_end, np.arange(len(right)))
+    return np.ascontiguousarray(solved[:, ::-1]), factor.shape[1] - spans[:, ::-1]
 
 
 @numba.njit(cache=True)

@@ -260,12 +260,10 @@ def _contradicted(
     built_all: list[Built], links: Mapping[Pair, Link], max_closure_s: float
 ) -> dict[Pair, float]:
     """Give the pairs whose clocks the network contradicts, and by how much [s]."""
-    found = {}
-    for built in built_all:
-        states = built.states
-        for a, b in combinations(built.members, 2):
-            if (a, b) in links:
-                off_s = float(links[a, b].offset_off_s(states[a], states[b])[0])
-                if abs(off_s) > max_closure_s:
-                    found[a, b] = off_s
-    return found
+    off_s = {
+        (a, b): float(links[a, b].offset_off_s(built.states[a], built.states[b])[0])
+        for built in built_all
+        for a, b in combinations(built.members, 2)
+        if (a, b) in links
+    }
+    return {pair: off for pair, off in off_s.items() if abs(off) > max_closure_s}

@@ -84,7 +84,7 @@ class Answer:
                     f" taken for ({pu:g}, {pv:g}) px, which lies near it: exchange the two in the"
                     " rig; or, if they are right, state deviations (intrinsics_std, --centre-std)"
                 )
-            if not camera.has_centre:
+            if not (0.0 <= pu <= camera.width - 1 and 0.0 <= pv <= camera.height - 1):
                 said.append(
                     f"camera {number}'s principal point, ({pu:g}, {pv:g}) px, lies outside of its"
                     f" image of {camera.width} x {camera.height} px: if the image is not cropped,"

@@ -14,6 +14,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
+from ssac.files.whole_file import write_whole
 from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
 from ssac.pipeline import opened as border
@@ -81,11 +82,11 @@ class Result:
 
         The command that led to the result is shown on it, where it is given.
         """
-        from ssac.pipeline.html_report import save_report
+        from ssac.pipeline.html_report import report_page
 
-        return save_report(
-            Path(path), {(0, 1): self.answer}, None, report_rows(self.answer), command
-        )
+        page = report_page({(0, 1): self.answer}, None, report_rows(self.answer), command)
+        write_whole(Path(path), page)
+        return Path(path)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "answer":

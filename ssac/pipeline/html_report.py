@@ -9,7 +9,6 @@ import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
 from ssac.estimate import Estimate, Status
-from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.pose import centre_covariance, vector_by_turn
 from ssac.network.graph import Pair
@@ -35,21 +33,6 @@ Card = tuple[str, str, str]  # a name, a value, and how sure it is
 _PACKAGES = "ssac-suite", "numpy", "scipy", "numba", "opencv-python-headless"
 _MOST_DOTS = 1000  # in a chart of a pair's; fewer where there are many pairs
 _NUMBERS = {"fu": (0, 0), "fv": (1, 1), "pu": (0, 2), "pv": (1, 2)}
-
-
-def save_report(
-    path: Path,
-    answers: Answers,
-    network: NetworkAnswer | None,
-    summary: Rows,
-    command: str = "",
-    unit: str = "",
-) -> Path:
-    """Write `report_page`; give its path."""
-    page = report_page(answers, network, summary, command, unit)
-    with whole_file(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return path
 
 
 def report_page(
@@ -127,10 +110,7 @@ def script_json(content: Any) -> str:
 
 
 def player_of(
-    answers: Answers,
-    cameras: list[Seen],
-    network: NetworkAnswer | None = None,
-    tour: bool = False,
+    answers: Answers, cameras: list[Seen], network: NetworkAnswer | None = None, tour: bool = False
 ) -> dict[str, Any]:
     """Lay out what the player and the scene draw; with a tour the player starts by itself."""
     scene = scene_of_two(answers[0, 1]) if network is None else scene_of_network(network)

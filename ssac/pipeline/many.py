@@ -15,7 +15,7 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.files.rigs import Step, save_rig
-from ssac.files.whole_file import FIGURE_SUFFIXES
+from ssac.files.whole_file import FIGURE_SUFFIXES, write_whole
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
@@ -25,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import Rows, html_of, plain, text_of
+from ssac.pipeline.report import Rows, html_of, plain, text_of, vector
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -153,10 +153,12 @@ class NetworkResult:
 
     def report(self, path: Path | str, command: str = "") -> Path:
         """Write a page as `Result.report` does, on all pairs and their network; give its path."""
-        from ssac.pipeline.html_report import save_report
+        from ssac.pipeline.html_report import report_page
 
         unit = _unit(self.scale_is_known)
-        return save_report(Path(path), self.pairs, self.network, self.rows(), command, unit)
+        page = report_page(self.pairs, self.network, self.rows(), command, unit)
+        write_whole(Path(path), page)
+        return Path(path)
 
     def __repr__(self) -> str:
         placed = sum(camera.status == Status.OK for camera in self.network.cameras)
@@ -182,7 +184,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     distance_m, note = known.distance_m, ""
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, distance_m)
-        if distance_m is not None and not _tells_scale(answer):
+        if distance_m is not None and [one.members[:2] for one in answer.built] != [[0, 1]]:
             distance_m, answer = None, solve_pairs(chain, pairs)
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         answer, ground = grounded(answer, known, chain.config.rules.ground)
@@ -192,11 +194,6 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     return NetworkResult(
         names, chain.rig.name, answer, pairs, in_metres, ground, watch.seconds, note
     )
-
-
-def _tells_scale(answer: NetworkAnswer) -> bool:
-    """Whether a distance of the first two cameras is one within the only network."""
-    return [built.members[:2] for built in answer.built] == [[0, 1]]
 
 
 def solve_pairs(
@@ -393,21 +390,15 @@ def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
 def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     if camera.status != Status.OK or camera.R is None or camera.t is None:
         return [(camera.name, f"{camera.status}: {camera.reason}")]
-    stands = "({})".format(", ".join(f"{value:.3f}" for value in -camera.R.T @ camera.t))
+    stands = vector(-camera.R.T @ camera.t, 3)
     turn_deg = np.degrees(Rotation.from_matrix(camera.R).magnitude())
     used = f"{camera.n_samples} of {camera.n_seen} sightings used, {camera.rms_px:.2f} px"
     if not camera.t_d_std_s > 0.0:
         return [(camera.name, f"the first of group {camera.group}"), ("", used)]
+    offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"
+    skew = f"skew {camera.skew_ppm:+.1f} ppm, 1 sigma {camera.skew_std_ppm:.1f}"
+    turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     return [
-        (
-            camera.name,
-            f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms, at "
-            f"{camera.t_ref_s:.2f} s; skew {camera.skew_ppm:+.1f} ppm, 1 sigma "
-            f"{camera.skew_std_ppm:.1f}",
-        ),
-        (
-            "",
-            f"at {stands}{unit}, turned by {turn_deg:.2f} deg, 1 sigma "
-            f"{camera.r_std_deg:.3f}; {used}",
-        ),
+        (camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}"),
+        ("", f"at {stands}{unit}, {turned}; {used}"),
     ]

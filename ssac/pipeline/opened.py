@@ -108,15 +108,15 @@ class Recording:
 
         file = load_events(self.path, self.reading)
         seen = _of_file(file, self.camera, self.camera_name, self.name)
-        found = None
-        if frames:
-            from ssac.files.hdf5 import load_frames
-            from ssac.methods.correlations import frame_means
+        if not frames:
+            return seen
+        from ssac.files.hdf5 import load_frames
+        from ssac.methods.correlations import frame_means
 
-            def pixels(images: NDArray[np.uint8]) -> Array:  # of one pixel each
-                return frame_means(images)[:, None, None]
+        def pixels(images: NDArray[np.uint8]) -> Array:  # of one pixel each
+            return frame_means(images)[:, None, None]
 
-            found = load_frames(self.path, pixels if frames == MEANS else None)
+        found = load_frames(self.path, pixels if frames == MEANS else None)
         if found is None:
             return seen
         times_us, images = found

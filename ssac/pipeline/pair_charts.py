@@ -79,11 +79,7 @@ def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
 
 @contextmanager
 def _chart(
-    charts: list[Chart],
-    title: str,
-    words: str,
-    width_in: float = 4.0,
-    height_in: float = 2.0,
+    charts: list[Chart], title: str, words: str, width_in: float = 4.0, height_in: float = 2.0
 ) -> Iterator[Axes]:
     """Give axes of a size, and put what is drawn on them among the charts."""
     left_in, below_in, around_in = 0.75, 0.7, 0.1
@@ -99,7 +95,8 @@ def _chart(
         drawn = io.StringIO()
         unsaid = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(drawn, format="svg", transparent=True, metadata=unsaid)
-    svg = re.sub(r' d="[^"]*"', _in_tenths, drawn.getvalue())
+    # Tenths of a point are enough.
+    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), drawn.getvalue())
     themes = ["", ""]
     for k, (color, shown) in enumerate(_ON_PAGE.items()):
         svg = svg.replace(color.lower(), f"var(--c{k})")
@@ -108,11 +105,6 @@ def _chart(
     style = f"{light}@media(prefers-color-scheme:dark){{{dark}}}"
     svg = svg.replace('<style type="text/css">', f'<style type="text/css">{style}', 1)
     charts.append(Chart(title, words, quote(svg, " /;=,+"), width_in > 4.0))
-
-
-def _in_tenths(path: re.Match[str]) -> str:
-    """Cut a path's numbers off at tenths of a point, which are enough."""
-    return re.sub(r"(\.\d)\d+", r"\1", path[0])
 
 
 def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") -> None:

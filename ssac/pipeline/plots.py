@@ -71,7 +71,7 @@ def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
         target.mkdir(parents=True, exist_ok=True)
         pages = {target / f"{figure[0]}.png": [figure] for figure in figures}
     for path, shown in pages.items():
-        _save(_page(shown, answer), path, _DPI)
+        save(_page(shown, answer), path, _DPI)
     return list(pages)
 
 
@@ -100,7 +100,8 @@ def _page(figures: list[tuple[str, float, Draw]], answer: Answer) -> Figure:
     return page
 
 
-def _save(page: Figure, path: Path, dpi: int) -> None:
+def save(page: Figure, path: Path, dpi: int) -> None:
+    """Write a figure, in the format that the name ends in."""
     with whole_file(path) as temporary:
         page.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
 
@@ -344,11 +345,6 @@ def _draw_events(axes: Axes, answer: Answer, camera: int, time_s: float, reach_p
     pixel_pt = 1.15 * width_pt / (2.0 * reach_px)  # a little more, lest they leave gaps
     x, y = points.T
     axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
-
-
-def save_comparison(file: Path, comparison: "Comparison") -> None:
-    """Write what `draw_comparison` draws."""
-    _save(draw_comparison(comparison), file, 130)
 
 
 def draw_comparison(comparison: "Comparison") -> Figure:

@@ -25,7 +25,7 @@ from ssac.config import Config
 from ssac.errors import PluginError, SsacError
 from ssac.estimate import Estimate, Status
 from ssac.methods.method import DEFAULT as DEFAULT
-from ssac.methods.method import OF_TRACKS, our_methods
+from ssac.methods.method import OF_TRACKS, PACKAGE, our_methods
 from ssac.methods.method import Input as Input
 from ssac.methods.method import Method as Method
 from ssac.track.observation import Observation
@@ -34,9 +34,6 @@ EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Esti
 
 _STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
-
-
-_METHODS = "ssac.methods"  # the folder of ours, and the group of others' entry points
 
 OURS = our_methods()
 
@@ -54,7 +51,7 @@ class Registry(Mapping[str, Method]):
     @cached_property
     def _entry_points(self) -> dict[str, list[EntryPoint]]:
         found: dict[str, list[EntryPoint]] = {name: [] for name in self._ours}
-        for entry in sorted(entry_points(group=_METHODS), key=lambda entry: entry.name):
+        for entry in sorted(entry_points(group=PACKAGE), key=lambda entry: entry.name):
             found.setdefault(entry.name, []).append(entry)
         return found
 
@@ -117,10 +114,7 @@ def choose_method(
 
 
 def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -> Estimate:
-    """Run another package's method; what it raises or returns amiss is said to be that package's.
-
-    `home` is the package's folder, or its only file.
-    """
+    """Run another package's method; what it raises or returns amiss is said to be its own."""
     where: Path | str = home
     try:
         estimate: Any = function(*given)

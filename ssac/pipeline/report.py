@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
 from ssac.estimate import Estimate
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import write_whole
 from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
 from ssac.screen import columns, folded
@@ -46,7 +46,9 @@ def report_rows(answer: Answer) -> Rows:
     elif estimate.R is not None and estimate.t is not None:
         rows += _pose_rows(estimate, estimate.R, estimate.t, answer.distance_m)
     if answer.method.input is Input.TRACKS:
-        rows.append(("samples", _samples(answer)))
+        counts = counts_of(answer)
+        times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
+        rows.append(("samples", f"{estimate.n_samples} {counts} used{times}"))
     rows += _clutter_rows(answer)
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
@@ -138,8 +140,7 @@ def save_json(path: Path, told: dict[str, Any]) -> None:
     rows = [
         f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in told.items()
     ]
-    with whole_file(path) as temporary:
-        temporary.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
+    write_whole(path, "{\n" + ",\n".join(rows) + "\n}\n")
 
 
 def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
@@ -211,10 +212,7 @@ def _pose_rows(
         ("lines of sight", f"{sight_deg(R):.2f} deg apart"),
         ("rotation", f"vector {vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
         ("translation", f"t = {vector(t, 4)}{unit}, {length}{sigmas[1]}"),
-        (
-            "",
-            f"camera 2 {lies} {vector(-R.T @ t, 3)}{unit} of camera 1 (right, down, forward)",
-        ),
+        ("", f"camera 2 {lies} {vector(-R.T @ t, 3)}{unit} of camera 1 (right, down, forward)"),
     ]
     if np.isfinite(estimate.per_focal_deg).all():
         R_deg, t_deg = 0.01 * estimate.per_focal_deg
@@ -240,12 +238,6 @@ def counts_of(answer: Answer) -> str:
     if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
         return "pairs"
     return Method.counts if answer.of_start else answer.method.counts
-
-
-def _samples(answer: Answer) -> str:
-    counts = counts_of(answer)
-    times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
-    return f"{answer.estimate.n_samples} {counts} used{times}"
 
 
 def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:

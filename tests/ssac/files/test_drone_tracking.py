@@ -20,7 +20,7 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.drone_tracking import import_data_set
-from ssac.files.rigs import load_camera
+from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track
 from ssac.network.graph import closures_s
 from tests.ssac.command import run
@@ -69,7 +69,7 @@ def test_a_data_set_becomes_tracks_and_a_rig(data, tmp_path):
         track = load_track(tmp_path / "out" / f"cam{k}.csv")
         whole = track.times_s * fps
         np.testing.assert_allclose(whole, np.rint(whole), atol=1e-4)  # frame k at k / fps
-        camera = load_camera(tmp_path / "out" / "rig.yaml", k + 1)
+        camera = load_rig(tmp_path / "out" / "rig.yaml", (k + 1, k + 1)).cam1
         assert (camera.width, camera.distortion_model) == (WIDTH, "radtan")
         np.testing.assert_array_equal(camera.K, K)
 

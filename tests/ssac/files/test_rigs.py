@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.camera import Camera, same_camera
 from ssac.errors import SsacError
-from ssac.files.rigs import Step, check_resolution, load_camera, load_rig, save_rig
+from ssac.files.rigs import Step, check_resolution, load_rig, save_rig
 from tests.ssac.tracks import rig_document
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
@@ -243,6 +243,6 @@ def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
     np.testing.assert_allclose(rig.T_2_1, T_3_2 @ T_2_1, atol=1e-12)  # step by step
     np.testing.assert_allclose(load_rig(path, (2, 3)).T_2_1, T_3_2, atol=1e-12)
     np.testing.assert_allclose(load_rig(path, (3, 1)).T_2_1 @ rig.T_2_1, np.eye(4), atol=1e-9)
-    assert load_camera(path, 3).K[0, 0] == 300.0
+    assert load_rig(path, (3, 3)).cam1.K[0, 0] == 300.0
     with pytest.raises(SsacError, match="there is no cam3 for camera 4, only cam0, cam1, cam2"):
         load_rig(path, (1, 4))

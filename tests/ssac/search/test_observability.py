@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
+from ssac.config import MIN_SWINGS, Config
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.rules import Rules
 from ssac.search.offset_search import (
@@ -109,10 +109,10 @@ def test_valleys_are_where_the_cost_is_low():
         costs = np.minimum(costs, least + 200.0 * np.abs(OFFSETS_S - offset_s))
     found = valleys(OFFSETS_S, costs, 0.05, SEARCH)
     assert [valley.least_s for valley in found] == pytest.approx([0.05, -0.7], abs=1e-3)
-    assert "-0.700 s" in ambiguous_offset(found, MAX_VALLEY_S).reason
-    assert ambiguous_offset(found[:1], MAX_VALLEY_S) is None
-    plateau = np.where(np.abs(OFFSETS_S) < 0.6 * MAX_VALLEY_S, 1.0, 10.0)
-    refusal = ambiguous_offset(valleys(OFFSETS_S, plateau, 0.0, SEARCH), MAX_VALLEY_S)
+    assert "-0.700 s" in ambiguous_offset(found, Config.max_valley_s).reason
+    assert ambiguous_offset(found[:1], Config.max_valley_s) is None
+    plateau = np.where(np.abs(OFFSETS_S) < 0.6 * Config.max_valley_s, 1.0, 10.0)
+    refusal = ambiguous_offset(valleys(OFFSETS_S, plateau, 0.0, SEARCH), Config.max_valley_s)
     assert refusal.status == "ambiguous_offset"
     # Residuals are measured in sizes of the object.
     assert no_match(1.0, 10.0, SEARCH) is None
