@@ -27,13 +27,16 @@ OPTIONS = {
         number("Number of this camera in the rig.", 1, 1000, metavar="K"), type=int, default=1
     ),
     "no_denoise": NO_DENOISE,
-    "faint": Option(flag(
-        "faint", "Follow an object so small and far away that the noise filter would remove its"
-        " events. Usually with --half-window 0.05 --n-min 8.",
-    )),
+    "faint": Option(
+        flag(
+            "faint",
+            "Follow an object so small and far away that the noise filter would remove its"
+            " events. Usually with --half-window 0.05 --n-min 8.",
+        )
+    ),
     **READING,
     **OF_EVENTS,
-}  # fmt: skip
+}
 
 
 @with_options(OPTIONS)

@@ -115,18 +115,30 @@ OF_EVENTS = {
         number("Half of the time window whose events give a position.", 0.001, 0.25, "seconds"),
         "half_window_s",
     ),
-    "n_min": Option(number(
-        "Least number of events for a position.",
-        1, 100_000, metavar="COUNT", default_words=f"{N_MIN}; fewer for a thin object",
-    ), "n_min"),
-}  # fmt: skip
+    "n_min": Option(
+        number(
+            "Least number of events for a position.",
+            1,
+            100_000,
+            metavar="COUNT",
+            default_words=f"{N_MIN}; fewer for a thin object",
+        ),
+        "n_min",
+    ),
+}
 JSON_FILE = Option(
     typer.Option("--json", metavar="FILE", help="Write the result as JSON."), type=Path | None
 )
-LEVER_ARM = Option(number(
-    "Position of RTK's antenna in the body: forward, left, up. Needs its attitude.",
-    -100, 100, "metres", metavar="X Y Z",
-), type=tuple[float, float, float] | None)  # fmt: skip
+LEVER_ARM = Option(
+    number(
+        "Position of RTK's antenna in the body: forward, left, up. Needs its attitude.",
+        -100,
+        100,
+        "metres",
+        metavar="X Y Z",
+    ),
+    type=tuple[float, float, float] | None,
+)
 NO_DENOISE = Option(
     flag("no-denoise", "Do not filter hot pixels and isolated events."), "denoise", value=False
 )

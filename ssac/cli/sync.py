@@ -44,42 +44,77 @@ OPTIONS = {
     "known_extrinsics": Option(
         flag("known-extrinsics", "Take the pose from the rig file and find only the offset.")
     ),
-    "method": Option(typer.Option(
-        metavar="NAME", help="Method, one of those below.", autocompletion=complete_method,
-        show_default=f"{DEFAULT}; {OF_TRACKS} with tracks",
-    ), type=str | None),
+    "method": Option(
+        typer.Option(
+            metavar="NAME",
+            help="Method, one of those below.",
+            autocompletion=complete_method,
+            show_default=f"{DEFAULT}; {OF_TRACKS} with tracks",
+        ),
+        type=str | None,
+    ),
     "cameras": Option(
         named("I J", "Numbers of the two cameras in the rig, from 1."),
-        type=tuple[int, int], default=(1, 2),
+        type=tuple[int, int],
+        default=(1, 2),
     ),
-    "search": Option(named(
-        "LOW HIGH", "Range of offsets t_d to search, in seconds.", f"{INTERVAL_S[0]:g} "
-        f"{INTERVAL_S[1]:g}; all offsets for tracks, or where that leaves no common time",
-    ), "interval_s"),
+    "search": Option(
+        named(
+            "LOW HIGH",
+            "Range of offsets t_d to search, in seconds.",
+            f"{INTERVAL_S[0]:g} {INTERVAL_S[1]:g}; all offsets for tracks, or where that "
+            "leaves no common time",
+        ),
+        "interval_s",
+    ),
     "search_all": Option(
         flag("search-all", "Search all offsets that leave enough common time."),
-        "search", value="all",
+        "search",
+        value="all",
     ),
-    "rate_range": Option(named(
-        "LOW HIGH", "Also search the rate of camera 2's clock over camera 1's in this range, at all"
-        " offsets: for an unknown frame rate.", False,
-    ), "rates"),
-    "skew_prior": Option(number(
-        "Prior standard deviation of the clock skew; 0: no skew; phones need 1000.",
-        0, MAX_SKEW_PPM, "ppm", default_words=f"{EVENT_SKEW_PRIOR_PPM:g}; 1000 with tracks",
-    ), "skew_prior_ppm"),
-    "clock": Option(named(
-        "NAME", "Clock model: affine, or pieces, whose skew changes, as in phones.",
-        "affine; pieces for tracks that it does not fit",
-    ), "clock"),
-    "roughness": Option(number(
-        "With --clock pieces: standard deviation of the change of skew from piece to piece;"
-        " variable frame rates need 6000.", 1, MAX_SKEW_PPM, "ppm",
-    ), "roughness_ppm"),
-    "estimate_readout": Option(flag(
-        "estimate-readout",
-        "Estimate rolling-shutter readout times that the rig does not give (tracks only).",
-    )),
+    "rate_range": Option(
+        named(
+            "LOW HIGH",
+            "Also search the rate of camera 2's clock over camera 1's in this range, at all"
+            " offsets: for an unknown frame rate.",
+            False,
+        ),
+        "rates",
+    ),
+    "skew_prior": Option(
+        number(
+            "Prior standard deviation of the clock skew; 0: no skew; phones need 1000.",
+            0,
+            MAX_SKEW_PPM,
+            "ppm",
+            default_words=f"{EVENT_SKEW_PRIOR_PPM:g}; 1000 with tracks",
+        ),
+        "skew_prior_ppm",
+    ),
+    "clock": Option(
+        named(
+            "NAME",
+            "Clock model: affine, or pieces, whose skew changes, as in phones.",
+            "affine; pieces for tracks that it does not fit",
+        ),
+        "clock",
+    ),
+    "roughness": Option(
+        number(
+            "With --clock pieces: standard deviation of the change of skew from piece to piece;"
+            " variable frame rates need 6000.",
+            1,
+            MAX_SKEW_PPM,
+            "ppm",
+        ),
+        "roughness_ppm",
+    ),
+    "estimate_readout": Option(
+        flag(
+            "estimate-readout",
+            "Estimate rolling-shutter readout times that the rig does not give (tracks only).",
+        )
+    ),
     "json_file": JSON_FILE,
     "plot": file_option("Draw figures: into a folder, or one file (.png, .pdf, .svg).", "PATH"),
     "report": file_option(
@@ -102,23 +137,38 @@ OPTIONS = {
     "positions": file_option("CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
     "rtk": file_option("The object's path by RTK, on any clock: sets frame and scale."),
     "lever_arm": LEVER_ARM,
-    "focal_std": Option(number(
-        "Standard deviation of both focal lengths, overriding the rig file.", 0, 20, "percent",
-    ), type=float | None),
-    "centre_std": Option(number(
-        "Standard deviation of both principal points, overriding the rig file.", 0, 100, "px",
-    ), type=float | None),
+    "focal_std": Option(
+        number(
+            "Standard deviation of both focal lengths, overriding the rig file.", 0, 20, "percent"
+        ),
+        type=float | None,
+    ),
+    "centre_std": Option(
+        number(
+            "Standard deviation of both principal points, overriding the rig file.", 0, 100, "px"
+        ),
+        type=float | None,
+    ),
     "no_denoise": NO_DENOISE,
     **READING,
-    "n_samples": Option(number(
-        "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT",
-    ), "n_samples"),
+    "n_samples": Option(
+        number(
+            "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT"
+        ),
+        "n_samples",
+    ),
     **OF_EVENTS,
-    "neighbours": Option(number(
-        "Noise filter: events needed within 5 px and 5 ms to keep an event.",
-        1, 1000, metavar="COUNT", default_words="20; adapted to noise and thin objects",
-    ), "n_neighbours"),
-}  # fmt: skip
+    "neighbours": Option(
+        number(
+            "Noise filter: events needed within 5 px and 5 ms to keep an event.",
+            1,
+            1000,
+            metavar="COUNT",
+            default_words="20; adapted to noise and thin objects",
+        ),
+        "n_neighbours",
+    ),
+}
 """By the name of the parameter, in the order of the help."""
 
 
