@@ -67,10 +67,14 @@ class SourceTree:
 
     def digest(self, *starts: str) -> str:
         """Digest of code ("module", or "module:definition") and of all that it depends on."""
-        names = sorted(self.closure(*starts))
-        parts = [f"{name} {self._digest_of(name)}" for name in names]
-        modules = {name.partition(":")[0] for name in names}
-        for path in sorted({path for module in modules for path in self._data_beside(module)}):
+        parts, data = [], set[Path]()
+        for name in sorted(self.closure(*starts)):
+            module, is_definition, definition = name.partition(":")
+            source = self._source(module)
+            codes = source.definitions[definition] if is_definition else [source.whole]
+            parts.append(" ".join([name, *(code.digest for code in codes)]))
+            data |= set(self._data_beside(module))
+        for path in sorted(data):
             content = hashlib.sha256(path.read_bytes()).hexdigest()
             parts.append(f"{path.relative_to(self.root).as_posix()} {content}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
@@ -86,13 +90,6 @@ class SourceTree:
                 done.add(use)
                 left += self._follow(*use, found)
         return found
-
-    def _digest_of(self, name: str) -> str:
-        module, is_definition, definition = name.partition(":")
-        source = self._source(module)
-        if not is_definition:
-            return source.whole.digest
-        return " ".join(one.digest for one in source.definitions[definition])
 
     def _follow(self, module: str, name: str, found: set[str]) -> Iterable[Use]:
         """Add what a use of a module (or of a name of it) brings in; return its own uses."""
