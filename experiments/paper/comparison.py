@@ -178,7 +178,7 @@ def comparison_table(
         part = pd.concat(compared).sort_index(kind="stable")  # by cell, then by quantity
         part.insert(0, "duration_s", duration_s)
         parts.append(part)
-    table: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    table = pd.concat(parts, ignore_index=True)
     notes: list[list[str]] = [[] for _ in range(len(table))]
     for text, where in reasons.items():
         of = table["verdict"] != "agrees"
@@ -263,8 +263,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
                 "factor_paper": ratio_factor(part, ("published",)),
             }
         )
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+    return pd.DataFrame(rows)
 
 
 def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours")) -> float:
