@@ -181,10 +181,8 @@ def comparison_table(
     table = pd.concat(parts, ignore_index=True)
     notes: list[list[str]] = [[] for _ in range(len(table))]
     for text, where in reasons.items():
-        of = table["verdict"] != "agrees"
-        for column, values in where.items():
-            of &= table[column].isin(values)
-        for row in np.flatnonzero(of):
+        is_one = table[list(where)].isin(dict(where)).all(axis=1)
+        for row in np.flatnonzero(is_one & (table["verdict"] != "agrees")):
             notes[row].append(text)
     table["note"] = ["; ".join(texts) for texts in notes]
     return table
