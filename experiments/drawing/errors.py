@@ -291,8 +291,7 @@ def pooled(cells: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
     squares = cells[columns].pow(2).mul(cells["n_runs"], axis=0)
     by_angle = squares.groupby(cells["angle_deg"]).sum()
     n_runs = cells["n_runs"].groupby(cells["angle_deg"]).sum()
-    result: pd.DataFrame = by_angle.div(n_runs, axis=0).pow(0.5)
-    return result
+    return by_angle.div(n_runs, axis=0).pow(0.5)
 
 
 def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:

@@ -124,17 +124,15 @@ def csv_text(table: pd.DataFrame, digits: int = DIGITS) -> str:
         if table[name].dtype == object
         and table[name].map(lambda value: isinstance(value, (list, tuple))).any()
     }
-    written: pd.DataFrame = table.assign(**lists) if lists else table
-    text: str = written.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
-    return text
+    written = table.assign(**lists)
+    return written.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
 
 
 def read_table(text: str) -> pd.DataFrame:
     """Read a table as `csv_text` wrote it; an empty cell is unknown."""
-    table: pd.DataFrame = pd.read_csv(
+    return pd.read_csv(
         io.StringIO(text), keep_default_na=False, na_values=[""], float_precision="round_trip"
     )
-    return table
 
 
 def save_text(path: Path, text: str) -> None:
