@@ -110,7 +110,6 @@ class Results:
         return float(self.provenances(name)[0]["wall_time_s"]) / 60.0
 
     def _column(self, rows: Any, name: str, column: str) -> Any:
-        """Take a column of a table, or a cell of a row."""
         if column not in rows:
             raise SsacError(f"{self.folder / name}.csv: no column {column}")
         return rows[column]

@@ -161,7 +161,6 @@ def run_cells(
 
 
 def _pool(workers: Workers, n_tasks: int) -> Pool:
-    """Gather who does the work."""
     if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
         return Pool()
     if workers.scheduler:
