@@ -36,7 +36,7 @@ def example() -> str:
 def printed(command: str, folder: Path) -> str:
     """Run an `ssac` command in a folder; return its standard output."""
     done = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", *command.split()[1:]],
+        [sys.executable, "-m", "experiments", *command.split()[1:]],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         check=True,

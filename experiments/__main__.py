@@ -2,19 +2,20 @@
 
 import sys
 
+from sim.errors import SimError
 from ssac.cli.exits import guarded
 
 
 def main() -> None:
-    """Import the command line and run it."""
-    sys.exit(guarded(_run))
+    """Import the command line and run it; what the user got wrong is one line, else it is a bug."""
+    sys.exit(guarded(_run, (SimError,)))
 
 
 def _run() -> int:
-    from experiments.cli import main
+    from experiments.cli import app
+    from ssac.cli.command_line import run
 
-    main()  # ends with its own exit code
-    return 0
+    return run(app, sys.argv[1:], "ssac")
 
 
 if __name__ == "__main__":

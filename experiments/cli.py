@@ -3,11 +3,7 @@
 Progress goes to stderr, results to stdout; the exit codes are those of `ssac.cli.exits`.
 """
 
-import sys
-
-from sim.errors import SimError
-from ssac.cli.command_line import COMPARE, IMPORT, SYNC, TRACK, USE, Entry, command_line, run
-from ssac.cli.exits import guarded
+from ssac.cli.command_line import COMPARE, IMPORT, SYNC, TRACK, USE, Entry, command_line
 
 REPRODUCE = "Reproduce"
 
@@ -59,12 +55,3 @@ app = command_line(
     "Synchronise and calibrate two or more cameras from one moving object; simulate such "
     "recordings; reproduce the paper's tables and further studies.",
 )
-
-
-def main() -> None:
-    """Run the command line; what the user got wrong is one line, anything else is our bug."""
-    sys.exit(guarded(lambda: run(app, sys.argv[1:], "ssac"), (SimError,)))
-
-
-if __name__ == "__main__":
-    main()

@@ -291,8 +291,7 @@ def pooled(cells: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
     squares = cells[columns].pow(2).mul(cells["n_runs"], axis=0)
     by_angle = squares.groupby(cells["angle_deg"]).sum()
     n_runs = cells["n_runs"].groupby(cells["angle_deg"]).sum()
-    result: pd.DataFrame = by_angle.div(n_runs, axis=0).pow(0.5)
-    return result
+    return by_angle.div(n_runs, axis=0).pow(0.5)
 
 
 def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:
@@ -390,7 +389,6 @@ def default_value(name: str) -> float:
 
 
 def _values(runs: pd.DataFrame, name: str) -> list[Any]:
-    """List the values of a column, those of methods in the registry's order."""
     return method_order(runs[name]) if name == "method" else [*runs[name].unique()]
 
 
@@ -404,7 +402,6 @@ def _lines(runs: pd.DataFrame, name: str) -> dict[Any, Look]:
 
 
 def _value_name(name: str, value: Any) -> str:
-    """Say in words which value of a parameter it is."""
     if name == "sim.background_files":  # a list, as text
         return ", ".join(re.findall(r"([\w-]+)\.\w+", str(value))) or "even sky"
     return _NAMES.get(name, "{}").format(value)
@@ -413,10 +410,7 @@ def _value_name(name: str, value: Any) -> str:
 def _draw_line(
     axes: Axes, runs: pd.DataFrame, of: FigureConfig, quantity: str, look: Look, aside: float
 ) -> None:
-    """Draw means and their standard errors, or bars of how many runs were refused.
-
-    All is moved aside by a share of the axis.
-    """
+    """Draw means with their errors, or bars of refused runs, aside by a share of the axis."""
     found = flight_means(runs, T_D_ERROR.column if quantity == REFUSED else quantity, of.x)
     x = found.index.to_numpy(np.float64)
     if of.log:

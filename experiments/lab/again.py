@@ -103,7 +103,6 @@ def recomputed(
 
 
 def _compared(rows: pd.DataFrame, study: Study, kept: Runs, results: Results) -> tuple[str, ...]:
-    """Compare rows made again with the committed ones."""
     committed = table_of_texts(results.text(kept.file))
     return row_faults(rows, committed, measured_by(study), kept)
 

@@ -24,9 +24,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("sim", "ssac", "experiments")
 
-BY_DEFINITIONS = "experiments"
-"""The package of whose modules single definitions count."""
-
 # Packages of others whose version may change a recording, or an estimate.
 SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
@@ -36,7 +33,6 @@ Use = tuple[str, str]
 
 _ALWAYS = ""  # name of definitions that count as soon as any of their module does
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files beside a module
-_TREES = ("sim", "ssac")  # where data files belong to the code; those of `experiments` are configs
 _HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
 """Decorators that register nothing elsewhere."""
 
@@ -71,21 +67,20 @@ class SourceTree:
 
     def digest(self, *starts: str) -> str:
         """Digest of code ("module", or "module:definition") and of all that it depends on."""
-        names = sorted(self.closure(*starts))
-        parts = [f"{name} {self._digest_of(name)}" for name in names]
-        modules = {name.partition(":")[0] for name in names}
-        for path in sorted({path for module in modules for path in self._data_beside(module)}):
+        parts, data = [], set[Path]()
+        for name in sorted(self.closure(*starts)):
+            module, is_definition, definition = name.partition(":")
+            source = self._source(module)
+            codes = source.definitions[definition] if is_definition else [source.whole]
+            parts.append(" ".join([name, *(code.digest for code in codes)]))
+            data |= set(self._data_beside(module))
+        for path in sorted(data):
             content = hashlib.sha256(path.read_bytes()).hexdigest()
             parts.append(f"{path.relative_to(self.root).as_posix()} {content}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
 
     def closure(self, *starts: str) -> set[str]:
-        """Names of this code and of all that it depends on: "module", or "module:definition".
-
-        A package's `__init__` counts where a name is taken from it, with the module that the name
-        comes from; where that cannot be read off its imports, all that it imports and all modules
-        of the package count.
-        """
+        """Names of this code and of all that it depends on: "module", or "module:definition"."""
         found: set[str] = set()
         done: set[Use] = set()
         left = [(module, name) for module, _, name in (start.partition(":") for start in starts)]
@@ -96,29 +91,14 @@ class SourceTree:
                 left += self._follow(*use, found)
         return found
 
-    def _digest_of(self, name: str) -> str:
-        module, is_definition, definition = name.partition(":")
-        source = self._source(module)
-        if not is_definition:
-            return source.whole.digest
-        return " ".join(one.digest for one in source.definitions[definition])
-
     def _follow(self, module: str, name: str, found: set[str]) -> Iterable[Use]:
         """Add what a use of a module (or of a name of it) brings in; return its own uses."""
         if name and self._path(f"{module}.{name}"):
             return [(f"{module}.{name}", "")]
         source = self._source(module)
-        uses = [use for _, use in source.whole.imports]
-        path = self._path(module)
-        if path is not None and path.name == "__init__.py":
+        if _is_whole(module):
             found.add(module)
-            origins = {use for use in uses if use[1] == name}
-            if name and len(origins) == 1:
-                return origins
-            return [*uses, *self._inside((f"{module}.",) if name else ())]
-        if module.partition(".")[0] != BY_DEFINITIONS:
-            found.add(module)
-            return [*uses, *self._named(source.whole.words)]
+            return [use for _, use in source.whole.imports] + [*self._named(source.whole.words)]
         if name in source.imports:
             return [source.imports[name]]
         chosen = {name, _ALWAYS} & set(source.definitions)
@@ -138,19 +118,14 @@ class SourceTree:
             elif mentioned in source.imports:
                 yield source.imports[mentioned]
 
-    def _named(self, words: Iterable[str]) -> list[Use]:
+    def _named(self, words: Iterable[str]) -> Iterator[Use]:
         """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
-        names = {text.partition(":")[0] for text in words if "." in text}
-        folders = tuple(f"{name}." for name in names if self._path(f"{name}.__init__"))
-        return [(name, "") for name in names if self._path(name)] + self._inside(folders)
-
-    def _inside(self, folders: tuple[str, ...]) -> list[Use]:
-        """List all modules in some folders, "a.b."; none without reading the disk."""
-        paths = [path for package in PACKAGES if folders
-                 for path in (self.root / package).rglob("*.py")]  # fmt: skip
-        names = (".".join(path.relative_to(self.root).with_suffix("").parts)
-                 for path in paths if path.name != "__init__.py")  # fmt: skip
-        return [(name, "") for name in names if name.startswith(folders)]
+        for name in {text.partition(":")[0] for text in words if "." in text}:
+            path = self._path(name)
+            if path is not None:
+                for one in path.parent.rglob("*.py") if path.name == "__init__.py" else (path,):
+                    parts = one.relative_to(self.root).with_suffix("").parts
+                    yield ".".join(parts).removesuffix(".__init__"), ""
 
     def _path(self, module: str) -> Path | None:
         """File of a module of ours, None where there is none."""
@@ -165,7 +140,7 @@ class SourceTree:
     def _data_beside(self, module: str) -> Iterator[Path]:
         """Files that are no code, in a module's folder and in folders there without modules."""
         path = self._path(module)
-        if path is None or module.partition(".")[0] not in _TREES:
+        if path is None or not _is_whole(module):
             return
         for other in path.parent.iterdir():
             if other.is_dir() and other.name != "__pycache__" and not any(other.rglob("*.py")):
@@ -206,6 +181,11 @@ def read_source(text: str) -> Source:
             for name in _bound(line):
                 definitions.setdefault(name, []).append(code)
     return Source(whole, imports, definitions)
+
+
+def _is_whole(module: str) -> bool:
+    """Whether all of a module counts, and data beside it; those of `experiments` are configs."""
+    return module.partition(".")[0] != "experiments"
 
 
 def _code(tree: ast.AST) -> Code:

@@ -166,8 +166,7 @@ def on_screen(table: pd.DataFrame) -> str:
             )
             text = (mean + "±" + half + " " + median).str.replace("±nan", "")
             shown[f"{error} ± median"] = text.where(table[name].notna(), "")
-    lines: str = pd.DataFrame(shown).to_string(index=False, line_width=_SCREEN)
-    return lines
+    return pd.DataFrame(shown).to_string(index=False, line_width=_SCREEN)
 
 
 def check_is_folder(out: Path) -> None:

@@ -241,7 +241,6 @@ class Cluster(Pool):
 
 
 def _connected(address: str) -> Any:
-    """Give a client of the scheduler, which has workers."""
     try:
         from distributed import Client
     except ImportError as error:

@@ -110,7 +110,6 @@ class Results:
         return float(self.provenances(name)[0]["wall_time_s"]) / 60.0
 
     def _column(self, rows: Any, name: str, column: str) -> Any:
-        """Take a column of a table, or a cell of a row."""
         if column not in rows:
             raise SsacError(f"{self.folder / name}.csv: no column {column}")
         return rows[column]
@@ -124,17 +123,15 @@ def csv_text(table: pd.DataFrame, digits: int = DIGITS) -> str:
         if table[name].dtype == object
         and table[name].map(lambda value: isinstance(value, (list, tuple))).any()
     }
-    written: pd.DataFrame = table.assign(**lists) if lists else table
-    text: str = written.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
-    return text
+    written = table.assign(**lists)
+    return written.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
 
 
 def read_table(text: str) -> pd.DataFrame:
     """Read a table as `csv_text` wrote it; an empty cell is unknown."""
-    table: pd.DataFrame = pd.read_csv(
+    return pd.read_csv(
         io.StringIO(text), keep_default_na=False, na_values=[""], float_precision="round_trip"
     )
-    return table
 
 
 def save_text(path: Path, text: str) -> None:

@@ -6,7 +6,6 @@ begun, and one that is claimed elsewhere comes last, when its rows are in the ca
 """
 
 import hashlib
-import os
 import resource
 import sys
 import tempfile
@@ -14,7 +13,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -163,7 +161,6 @@ def run_cells(
 
 
 def _pool(workers: Workers, n_tasks: int) -> Pool:
-    """Gather who does the work."""
     if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
         return Pool()
     if workers.scheduler:
@@ -310,19 +307,19 @@ def name_of(cell: PlainCell) -> str:
 def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataFrame:
     """Put each cell's columns before its row."""
     pairs = zip(cells, rows, strict=True)
-    frame: pd.DataFrame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
+    frame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
     unknown = [one.name for one in fields(measure.row_type) if one.default != one.default]  # NaN
     return frame.astype(dict.fromkeys(unknown, float)) if len(frame) else frame
 
 
 def run_alone(cells: Sequence[PlainCell], measure: Measure, label: str) -> Outcome:
-    """Measure cells one after the other, each in a process of its own on one core; none is kept.
+    """Measure cells one after the other, each in a process of its own; none is kept.
 
     All of them get one cache, which is gone at the end, so that a cell may use what those before
     it have made. A process that dies is a row that says so.
     """
     rows = []
-    with tempfile.TemporaryDirectory(prefix="ssac-alone-") as folder, _one_core():
+    with tempfile.TemporaryDirectory(prefix="ssac-alone-") as folder:
         for number, cell in enumerate(cells, 1):
             say(f"{label}: {number} of {len(cells)}")
             try:
@@ -333,18 +330,5 @@ def run_alone(cells: Sequence[PlainCell], measure: Measure, label: str) -> Outco
 
 
 def _alone(cell: PlainCell, cache: Cache, measure: Measure) -> dict[str, Any]:
-    with threadpool_limits(1):
+    with threadpool_limits(1):  # one core
         return measured(cell, measure, lambda: measure.load([cell], cache))
-
-
-@contextmanager
-def _one_core() -> Iterator[None]:
-    """Give the processes that are started here one thread for each library."""
-    before = dict(os.environ)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ[name] = "1"
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)

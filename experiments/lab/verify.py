@@ -287,8 +287,7 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
 
 def table_of_texts(text: str) -> pd.DataFrame:
     """Read a table as it stands in its file."""
-    table: pd.DataFrame = pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
-    return table
+    return pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
 
 
 def _with_last_digits_of(text: str, again: str) -> str:

@@ -178,13 +178,11 @@ def comparison_table(
         part = pd.concat(compared).sort_index(kind="stable")  # by cell, then by quantity
         part.insert(0, "duration_s", duration_s)
         parts.append(part)
-    table: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    table = pd.concat(parts, ignore_index=True)
     notes: list[list[str]] = [[] for _ in range(len(table))]
     for text, where in reasons.items():
-        of = table["verdict"] != "agrees"
-        for column, values in where.items():
-            of &= table[column].isin(values)
-        for row in np.flatnonzero(of):
+        is_one = table[list(where)].isin(dict(where)).all(axis=1)
+        for row in np.flatnonzero(is_one & (table["verdict"] != "agrees")):
             notes[row].append(text)
     table["note"] = ["; ".join(texts) for texts in notes]
     return table
@@ -263,8 +261,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
                 "factor_paper": ratio_factor(part, ("published",)),
             }
         )
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+    return pd.DataFrame(rows)
 
 
 def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours")) -> float:

@@ -58,14 +58,6 @@ POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
 ANGLE_LABEL = "angle between the lines of sight [deg]"
 
 
-def split_quantity(text: str) -> tuple[str, str]:
-    """Split `<method>_<error>`; the error is empty when the text ends in none."""
-    for error in ERRORS:
-        if text.endswith(f"_{error}"):
-            return text.removesuffix(f"_{error}"), error
-    return text, ""
-
-
 TABLES = ("esim_10", "esim_20")
 """Configurations of the paper's simulation tables: one for each duration."""
 
@@ -120,19 +112,17 @@ _WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
 def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Put runs into the order of `runs.csv`; further columns go, counts become whole numbers."""
     runs = in_order(runs.reindex(columns=list(RUN_COLUMNS)), KEY)
-    whole: pd.DataFrame = runs.astype(dict.fromkeys(_WHOLE, "Int64"))
-    return whole
+    return runs.astype(dict.fromkeys(_WHOLE, "Int64"))
 
 
 def in_order(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """Sort rows by columns, methods as `method_order` does."""
     place = {name: number for number, name in enumerate(method_order(rows["method"]))}
-    ordered: pd.DataFrame = rows.sort_values(
+    return rows.sort_values(
         list(keys),
         key=lambda column: column.map(place) if column.name == "method" else column,
         ignore_index=True,
     )
-    return ordered
 
 
 def method_order(methods: Iterable[str]) -> list[str]:
@@ -172,8 +162,7 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
                 row[f"{method}_{error}_std"] = values.std() if len(values) else np.nan
             row[f"{method}_failed"] = int((mine & ~is_ok).sum())
         rows.append(row)
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+    return pd.DataFrame(rows)
 
 
 def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:

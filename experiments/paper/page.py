@@ -18,7 +18,6 @@ from experiments.lab.summary import (
     means_with_stds,
     number,
     paragraph,
-    records,
     shown_cells,
 )
 from experiments.paper.comparison import (
@@ -28,14 +27,7 @@ from experiments.paper.comparison import (
     VERDICTS,
     summary_table,
 )
-from experiments.paper.esim import (
-    ERRORS,
-    POSE_ERRORS,
-    T_D_ERROR,
-    method_order,
-    pose_methods,
-    split_quantity,
-)
+from experiments.paper.esim import ERRORS, POSE_ERRORS, T_D_ERROR, method_order, pose_methods
 
 
 class Table(NamedTuple):
@@ -107,12 +99,12 @@ def page_content(
     }
 
 
-def label(name: str) -> str:
-    """Name a mean error, `<method>_<error>`, for the head of a column."""
-    method, error = split_quantity(name)
+def label(method: str, error: str) -> str:
+    """Name a mean error for the head of a column."""
     return f"`{method}` {ERRORS[error].heading}"
 
 
+_LABELS = {one.name: label(one.method, one.error) for one in PUBLISHED_ERRORS}
 _WHICH = {"mean error": "{error}", "flights": "{duration_s:g} s"}
 
 _AGAINST = {
@@ -145,7 +137,7 @@ _DIFFERENCES = {
 
 
 def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
-    cells = shown_cells(rows.assign(error=rows["quantity"].map(label)), columns)
+    cells = shown_cells(rows.assign(error=rows["quantity"].map(_LABELS)), columns)
     known = [[re.sub(r"\bnan\b", UNKNOWN, cell) for cell in row] for row in cells]
     return Table(list(columns), known)
 
@@ -154,14 +146,14 @@ def _changed_verdicts(comparison: pd.DataFrame) -> Table:
     """List the cells whose verdict changed, those that changed alike in one row."""
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
     rows = []
-    for _, part in changed.groupby(["quantity", "duration_s", "first_verdict", "verdict"]):
+    groups = changed.groupby(["quantity", "duration_s", "first_verdict", "verdict"])
+    for (name, duration_s, first, now), part in groups:
         cells = [
             f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
-        first = records(part)[0]
-        verdicts = first["first_verdict"], first["verdict"], "; ".join(cells)
-        rows.append([label(first["quantity"]), f"{first['duration_s']:g} s", *verdicts])
+        verdicts = str(first), str(now), "; ".join(cells)
+        rows.append([_LABELS[str(name)], f"{duration_s:g} s", *verdicts])
     return Table(["mean error", "flights", f"first {PUBLISHED_RUNS}", "all", "cells"], rows)
 
 
@@ -172,7 +164,7 @@ def _growth(comparison: pd.DataFrame) -> Table:
     chosen = comparison[comparison["quantity"].str.startswith("zncc")]
     for (name, duration_s), part in chosen.groupby(["quantity", "duration_s"]):
         means = part.groupby("angle_deg")[["ours_mean", "published_mean"]].mean()
-        method = f"`{split_quantity(str(name))[0]}`"
+        method = f"`{str(name).removesuffix(f'_{T_D_ERROR.column}')}`"
         for who, column in (("ours", "ours_mean"), ("paper", "published_mean")):
             values = [number(value, 0) for value in means[column]]
             rows.append([method, f"{duration_s:g} s", who, *values])
@@ -206,7 +198,7 @@ def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table
             columns = columns or _places(chosen)
             columns += [
                 (head, means_with_stds(chosen[f"{whose}_mean"], chosen[f"{whose}_std"], decimals))
-                for head, whose in ((label(quantity.name), "ours"), ("paper", "published"))
+                for head, whose in ((_LABELS[quantity.name], "ours"), ("paper", "published"))
             ]
             columns.append(("verdict", list(chosen["verdict"])))
     return _table(columns)
@@ -225,7 +217,7 @@ def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table | N
                 means_with_stds(means, stds, decimals), n_ok, table["n_runs"], strict=True
             )
         ]
-        columns.append((label(f"{method}_{error}"), cells))
+        columns.append((label(method, error), cells))
     return _table(columns) if errors else None
 
 

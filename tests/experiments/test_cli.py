@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments import cli
+from experiments.__main__ import main
 from sim.errors import SimError
 from ssac.errors import SsacError
 from tests.experiments.command import run
@@ -118,7 +119,7 @@ def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "experiments.scenes.demo", SimpleNamespace(demo_command=fails))
     monkeypatch.setattr(sys, "argv", ["ssac", "demo"])
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        main()
     assert end.value.code == 2
     assert capsys.readouterr().err == "error: no such thing\n"
 

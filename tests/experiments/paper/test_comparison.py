@@ -21,7 +21,7 @@ from experiments.paper.comparison import (
     summary_table,
     verdicts_of,
 )
-from experiments.paper.esim import ERRORS, RUN_COLUMNS, esim_tables, split_quantity
+from experiments.paper.esim import ERRORS, RUN_COLUMNS, esim_tables
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
@@ -293,6 +293,3 @@ def test_changed_verdicts_are_counted():
 def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score():
     assert set(ERRORS) <= set(RUN_COLUMNS)
     assert set(ERRORS) == set(Score.__annotations__) - {"pose"}
-    assert split_quantity("ssac-known_t_d_error_ms") == ("ssac-known", "t_d_error_ms")
-    assert split_quantity("zncc_e_r_error_deg") == ("zncc_e", "r_error_deg")
-    assert split_quantity("speed") == ("speed", "")

@@ -313,7 +313,7 @@ def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path
     out = tmp_path / "out.json"
     args = (recorded / "cam1.h5", tmp_path / "later.h5", "--rig", recorded / "rig.yaml")
     options = ("--method", "track_speed", "--json", out)
-    command = [sys.executable, "-m", "experiments.cli", "sync", *map(str, (*args, *options))]
+    command = [sys.executable, "-m", "experiments", "sync", *map(str, (*args, *options))]
     found_in = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
     ended = subprocess.run(command, env=found_in, cwd=folder, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
