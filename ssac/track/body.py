@@ -397,10 +397,7 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations (5, 5), (5,) of turns and moves; what is left of an image, and all.
-
-    Only those from `first` on are set. The room for work is all zero again.
-    """
+    """Give normal equations (5, 5), (5,) from `first` on; what is left of an image, and all."""
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -457,11 +454,7 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
-
-    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
-    first and past the last rows and columns of pixels.
-    """
+    """Add depths, and slopes (.., 5) by turns [rad] and moves [px]; give the pixels' bounds."""
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]
