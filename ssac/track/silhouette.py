@@ -372,17 +372,14 @@ def _image_sums(
     # The first event of each stay in the box is found from the one of the stay before.
     following = np.full(m, NONE, np.int32)
     coming = np.full(shape, NONE, np.int32)
-    never_us = np.iinfo(np.int64).max // 2
-    coming_us = np.full(shape, never_us, np.int64)  # its time
-    coming_level = np.zeros(shape, np.float32)
     bare_us = np.zeros((*shape, 2), np.int64)  # between which it is surely not covered
+    bare_us[:, :, 1] = np.iinfo(np.int64).max
     longest_us = np.max(ramps_us)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
             coming[y[e], x[e]] = e
-            coming_us[y[e], x[e]] = times_us[e]
-            coming_level[y[e], x[e]] = abs(levels[e])
+            bare_us[y[e], x[e]] = _bare_us(NONE, e, times_us, levels, before, longest_us)
     whole = 1.0 - np.exp(-curvature)
     size = images.shape[1]
     e = 0
@@ -390,14 +387,8 @@ def _image_sums(
         left, right, top, bottom = boxes[i]
         time_us = samples_us[i]
         while e < m and times_us[e] <= time_us:
-            last[y[e], x[e]] = e
-            following_e = following[e]
-            if coming[y[e], x[e]] != following_e:
-                coming[y[e], x[e]] = following_e
-                is_none = following_e == NONE
-                coming_us[y[e], x[e]] = never_us if is_none else times_us[following_e]
-                coming_level[y[e], x[e]] = 0 if is_none else abs(levels[following_e])
-            bare_us[y[e], x[e]] = _bare_us(e, times_us, levels, before, after, longest_us)
+            last[y[e], x[e]], coming[y[e], x[e]] = e, following[e]
+            bare_us[y[e], x[e]] = _bare_us(e, after[e], times_us, levels, before, longest_us)
             e += 1
         area, sum_x, sum_y, sum_xx, sum_xy, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for row in range(top, bottom + 1):
@@ -406,17 +397,13 @@ def _image_sums(
                     if i > 0:
                         seen_bare[row, col] = True
                     if last[row, col] != NONE and times_us[last[row, col]] <= samples_us[i - 1]:
-                        last[row, col] = NONE
-                        bare_us[row, col] = 0
+                        last[row, col], b = NONE, coming[row, col]
+                        bare_us[row, col] = _bare_us(NONE, b, times_us, levels, before, longest_us)
                 inside[row, col] = i
                 sums[i, 6] += not seen_bare[row, col]
                 if bare_us[row, col, 0] <= time_us < bare_us[row, col, 1]:
                     continue
                 a = last[row, col]
-                if a == NONE:
-                    ahead_us = float(coming_us[row, col] - time_us)
-                    if ahead_us >= max(ramps_us[i] * coming_level[row, col], 1.0):
-                        continue  # the next event does not yet show
                 b = after[a] if a != NONE else coming[row, col]
                 level = _level_at(time_us, a, b, times_us, levels, before, after, ramps_us[i])
                 if level <= 0.0:
@@ -445,15 +432,17 @@ def _image_sums(
 
 @numba.njit(cache=True)
 def _bare_us(
-    a: int, times_us: IntArray, levels: Levels, before: Links, after: Links, longest_us: float
+    a: int, b: int, times_us: IntArray, levels: Levels, before: Links, longest_us: float
 ) -> tuple[int, int]:
-    """Give times between which `_level_at` is 0 after event a, of ramps up to the longest."""
-    b, level_a = after[a], abs(float(levels[a]))
+    """Give times between which `_level_at` is 0, of ramps up to the longest."""
+    start_us, level_a, shrank = 0, 0.0, True
+    if a != NONE:
+        level_a = abs(float(levels[a]))
+        shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
+        fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
+        start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
     if level_a > 1.0:
         return 0, 0
-    shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
-    fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
-    start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
     if b == NONE:
         return start_us, np.iinfo(np.int64).max
     level_b = abs(float(levels[b]))
