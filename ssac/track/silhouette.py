@@ -390,7 +390,6 @@ def _image_sums(
             last[y[e], x[e]], coming[y[e], x[e]] = e, following[e]
             bare_us[y[e], x[e]] = _bare_us(e, after[e], times_us, levels, before, longest_us)
             e += 1
-        area, sum_x, sum_y, sum_xx, sum_xy, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for row in range(top, bottom + 1):
             for col in range(left, right + 1):
                 if inside[row, col] < i - 1:
@@ -414,19 +413,14 @@ def _image_sums(
                 if 0 <= u < size and 0 <= v < size:
                     images[i, v, u] = share
                 u, v = col - left, row - top
-                area += share
-                sum_x += share * u
-                sum_y += share * v
-                sum_xx += share * u * u
-                sum_xy += share * u * v
-                sum_yy += share * v * v
-        sums[i, 0] = area
-        if area > 0.0:
-            u, v = sum_x / area, sum_y / area
+                su, sv = share * u, share * v
+                for k, term in enumerate((share, su, sv, su * u, su * v, sv * v)):
+                    sums[i, k] += term
+        if sums[i, 0] > 0.0:
+            sums[i, 1:6] /= sums[i, 0]
+            u, v = sums[i, 1], sums[i, 2]
+            sums[i, 3:6] -= np.array([u * u, u * v, v * v])
             sums[i, 1], sums[i, 2] = left + u, top + v
-            sums[i, 3] = sum_xx / area - u * u
-            sums[i, 4] = sum_xy / area - u * v
-            sums[i, 5] = sum_yy / area - v * v
     return sums
 
 
