@@ -61,11 +61,7 @@ class Objects:
 
     def events_of(self, pieces: list[Piece]) -> Mask:
         """Tell which events (n,) belong to some of the pieces."""
-        n_blobs = int(np.max(self.blob_of_event, initial=-1)) + 1
-        chosen = np.zeros(n_blobs + 1, np.bool_)  # the last of none
-        for piece in pieces:
-            chosen[piece.blobs] = True
-        return np.asarray(chosen[self.blob_of_event])
+        return np.isin(self.blob_of_event, [k for piece in pieces for k in piece.blobs])
 
 
 def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
