@@ -43,12 +43,7 @@ class Seen(NamedTuple):
 
     def of(self, chosen: IntArray) -> "Seen":
         """Give some of the instants."""
-        return self._replace(
-            shares=self.shares[chosen],
-            corners_px=self.corners_px[chosen],
-            points=self.points[chosen],
-            is_seen=self.is_seen[chosen],
-        )
+        return Seen._make([*(one[chosen] for one in self[:4]), *self[4:]])
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
         """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
@@ -127,9 +122,8 @@ def body_moves(
 
 def _learnt(n: int, rules: BodyRules) -> IntArray:
     """Choose of n instants those that tell the shape: of many every other, of more the middle."""
-    chosen = np.arange(
-        0, n, rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
-    )
+    step = rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
+    chosen = np.arange(0, n, step)
     beyond = max(len(chosen) - rules.most_learnt, 0) // 2
     return np.asarray(chosen[beyond : len(chosen) - beyond], np.int64)
 
