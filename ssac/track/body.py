@@ -419,11 +419,8 @@ def _normal(
                 continue
             for a in range(first, 5):
                 r[a] += by[a] * off
-                for b in range(first, a + 1):
+                for b in range(first, 5):
                     J[a, b] += by[a] * by[b]
-    for a in range(first, 5):
-        for b in range(first, a):
-            J[b, a] = J[a, b]
     return J, r, cost, whole
 
 
