@@ -5,7 +5,6 @@ each of them by its dotted name, as in `ssac.rules.verdict.max_t_d_std_s`; a sta
 the configuration that it is given, and has no copy of its own.
 """
 
-import math
 from dataclasses import dataclass, is_dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -693,7 +692,7 @@ def _check_part(name: str, kind: Any, value: Any) -> None:
             _check_part(f"{name}[{place}]", inner, item)
     else:
         types, word = _KINDS[kind]
-        is_finite = kind is not float or (is_number(value) and math.isfinite(value))
+        is_finite = kind is not float or (is_number(value) and np.isfinite(value))
         if not (isinstance(value, types) and is_number(value) == (kind is not bool) and is_finite):
             raise SsacError(f"{name}: expected {word}, got {value!r}")
 

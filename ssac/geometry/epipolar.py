@@ -49,11 +49,6 @@ def fundamental_from_essential(E: Array, K1: Array, K2: Array) -> Array:
     return np.asarray(np.linalg.inv(K2).T @ E @ np.linalg.inv(K1))
 
 
-def essential_from_fundamental(F: Array, K1: Array, K2: Array) -> Array:
-    """E = K2' F K1; its two non-zero singular values differ as far as F is not exact."""
-    return np.asarray(K2.T @ F @ K1)
-
-
 def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
     """Epipolar lines (..., 3) in image 1 of points (..., 2) in image 2.
 

@@ -27,7 +27,7 @@ def pose_from_fundamental(
     It is that of the closest true essential matrix: E's two singular values are made equal. The
     share of pairs in front, the second result, is far from 1 where they disagree about the pose.
     """
-    U, _, Vt = np.linalg.svd(epipolar.essential_from_fundamental(F, K1, K2))
+    U, _, Vt = np.linalg.svd(K2.T @ F @ K1)  # of E
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     rays1, rays2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
     poses: list[Pose] = []

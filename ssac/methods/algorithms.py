@@ -44,8 +44,7 @@ class _Along:
         system = np.column_stack([x, np.ones(len(x)), -x * y])  # y = a x + b - c x y
         weights: Array = np.ones(len(x))
         for _ in range(8):
-            found = np.linalg.lstsq(system * weights[:, None], y * weights)[0]
-            fitted = np.asarray(found, np.float64)
+            fitted = np.asarray(np.linalg.lstsq(system * weights[:, None], y * weights)[0])
             residuals, norms = self.residuals(fitted)
             weights = np.sqrt(cauchy_weights(residuals)[0]) / norms
         return fitted

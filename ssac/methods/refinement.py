@@ -14,21 +14,8 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
-from ssac.fit.intrinsics import (
-    Allowance,
-    evidence,
-    intrinsics_of,
-    turned_by_focals,
-    wanted,
-)
-from ssac.fit.least_squares import (
-    Parameters,
-    Problem,
-    Residuals,
-    Solution,
-    WeighedPairs,
-    linearise,
-)
+from ssac.fit.intrinsics import Allowance, evidence, intrinsics_of, turned_by_focals, wanted
+from ssac.fit.least_squares import Parameters, Problem, Residuals, Solution, WeighedPairs, linearise
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import homography_poses, rays_of
 from ssac.methods.algorithms import with_fit
@@ -179,10 +166,7 @@ def smooth_errors(
     the object's size: per unit of x / z and y / z, and anywhere. Distances are not weighed.
     """
     parts = []
-    for F_there, there, here, K in (
-        (F.T, p2_px, p1_px, rig.cam1.K),
-        (F, p1_px, p2_px, rig.cam2.K),
-    ):
+    for F_there, there, here, K in ((F.T, p2_px, p1_px, rig.cam1.K), (F, p1_px, p2_px, rig.cam2.K)):
         shifts = size_px * rays_of(K, here) * bias
         for axis in np.eye(2):
             along = np.tile(axis, (len(here), 1))

@@ -151,13 +151,11 @@ def _neighbourhood(centres: Indices, around: Indices, size: int) -> Indices:
 
 
 def _minimum(candidates_s: Array, d_avg_px: Array, eligible: Mask) -> OffsetSearch:
-    """Take the least of the eligible candidates, refined between candidates.
-
-    Deviation: the paper takes the best. Events that enter and leave the windows make
-    d_avg jump by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola
-    fitted to d_avg within 6 ms. Its weights fall off towards both ends of a window centred on the
-    minimum itself, so that the result does not depend on where the candidates lie.
-    """
+    """Take the least of the eligible candidates, refined between candidates."""
+    # Deviation: the paper takes the best. Events that enter and leave the windows make d_avg jump
+    # by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola fitted
+    # within 6 ms. Its weights fall off towards both ends of a window centred on the minimum itself,
+    # so that the result does not depend on where the candidates lie.
     values = np.where(eligible & np.isfinite(d_avg_px), d_avg_px, np.inf)
     best = int(np.argmin(values))
     if not np.isfinite(values[best]):

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ssac.arrays import Array, Indices, IntArray, Mask
+from ssac.events import no_gaps
 from ssac.geometry.epipolar import robust_deviation
 from ssac.rules import BlindRules, ViewRules
 from ssac.track.motion import Motion, ObjectMotion
@@ -69,9 +70,6 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
     return one.spread(n, slice(first, last), there)
 
 
-NEVER_US = np.empty((0, 2), np.int64)  # spans of a camera that is never blind
-
-
 def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
     """Find the readouts of frames (g, 2) [us], ascending, among the sorted times of events.
 
@@ -79,12 +77,12 @@ def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
     """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
-        return NEVER_US
+        return no_gaps()
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
     alike = np.abs(lengths_us - length_us) <= rules.same_length * length_us
     if np.mean(alike) < 1.0 - rules.most_lengths:
-        return NEVER_US
+        return no_gaps()
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])
     period_us = float(np.median(since_us))
@@ -92,14 +90,14 @@ def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
     near = (beats >= 1.0) & (beats <= rules.most_periods)
     few = np.count_nonzero(near) < rules.least_silences - 1
     if few or length_us > rules.most_share * period_us:
-        return NEVER_US
+        return no_gaps()
     period_us = float(np.sum(since_us[near]) / np.sum(beats[near]))
     on_beat = np.abs(since_us - beats * period_us) <= rules.same_rhythm * period_us
     if np.mean(on_beat[near]) < 1.0 - rules.most_others:
-        return NEVER_US
+        return no_gaps()
     chained = near & on_beat
     spans_us = _filled(spans_us, np.where(chained, beats, 0.0).astype(np.intp))
-    return spans_us if _cut(times_us, spans_us, period_us, rules) else NEVER_US
+    return spans_us if _cut(times_us, spans_us, period_us, rules) else no_gaps()
 
 
 def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
@@ -282,6 +280,6 @@ class Alone:
     def blind_us(self) -> list[IntArray]:
         """When each camera was blind: spans (g, 2) [us] in its own clock."""
         return [
-            blind_spans(one.times_us, self.of_blind) if isinstance(one, ObjectMotion) else NEVER_US
+            blind_spans(one.times_us, self.of_blind) if isinstance(one, ObjectMotion) else no_gaps()
             for one in self.motions
         ]

@@ -43,12 +43,7 @@ class Seen(NamedTuple):
 
     def of(self, chosen: IntArray) -> "Seen":
         """Give some of the instants."""
-        return self._replace(
-            shares=self.shares[chosen],
-            corners_px=self.corners_px[chosen],
-            points=self.points[chosen],
-            is_seen=self.is_seen[chosen],
-        )
+        return Seen._make([*(one[chosen] for one in self[:4]), *self[4:]])
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
         """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
@@ -127,9 +122,8 @@ def body_moves(
 
 def _learnt(n: int, rules: BodyRules) -> IntArray:
     """Choose of n instants those that tell the shape: of many every other, of more the middle."""
-    chosen = np.arange(
-        0, n, rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
-    )
+    step = rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
+    chosen = np.arange(0, n, step)
     beyond = max(len(chosen) - rules.most_learnt, 0) // 2
     return np.asarray(chosen[beyond : len(chosen) - beyond], np.int64)
 
@@ -397,10 +391,7 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give the normal equations (5, 5), (5,) of turns and moves; what is left of an image, and all.
-
-    Only those from `first` on are set. The room for work is all zero again.
-    """
+    """Give normal equations (5, 5), (5,) from `first` on; what is left of an image, and all."""
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -428,11 +419,8 @@ def _normal(
                 continue
             for a in range(first, 5):
                 r[a] += by[a] * off
-                for b in range(first, a + 1):
+                for b in range(first, 5):
                     J[a, b] += by[a] * by[b]
-    for a in range(first, 5):
-        for b in range(first, a):
-            J[b, a] = J[a, b]
     return J, r, cost, whole
 
 
@@ -457,11 +445,7 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place.
-
-    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. Gives the
-    first and past the last rows and columns of pixels.
-    """
+    """Add depths, and slopes (.., 5) by turns [rad] and moves [px]; give the pixels' bounds."""
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]

@@ -166,13 +166,9 @@ def _has_neighbours(
     longest_us: int,
     n_neighbours: int,
 ) -> Mask:
-    """Whether each event has `n_neighbours` others within a ball.
-
-    The sensor has columns and rows of cells, and a margin on each side. The ball is of cells
-    `steps` from an event's for `spans_us`, all at most one row from `core` for `core_us`. Loops
-    over a tuple are compiled without a loop, and an index without a sign is not looked at twice.
-    Events of at most `longest_us` are taken together.
-    """
+    """Whether each event has `n_neighbours` others in cells `steps` from its own for `spans_us`."""
+    # All cells at most one row from `core` are of the ball for `core_us`. Loops over a tuple are
+    # compiled without a loop, and an index without a sign is not looked at twice.
     n, radius_us = len(t), spans_us[0]
     together = 64  # events are taken by so many, so that loops are few, and long
     n_columns, n_rows, margin_px = sensor

@@ -259,12 +259,7 @@ def _rates(
 
 
 def _sums(
-    bins: _Binned,
-    path: _Path,
-    sizes_px2: Array,
-    rates: Array,
-    background: Array,
-    rules: FaintRules,
+    bins: _Binned, path: _Path, sizes_px2: Array, rates: Array, background: Array, rules: FaintRules
 ) -> Array:
     """Sum up the events about a path, as `_sums_in_bins` does."""
     events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
@@ -360,10 +355,7 @@ def _sums_in_bins(
     rates: Array,
     background: Array,
 ) -> Array:
-    """Give (n, 5): events counted, events around; sums of weights, and of weighted x and y.
-
-    An event's weight is the share of the object in all that is there.
-    """
+    """Give (n, 5): events counted, around; sums of the object's shares, and of these by x and y."""
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path
     half_px, counted, inside, around = limits

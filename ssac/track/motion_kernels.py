@@ -59,10 +59,7 @@ def sum_up(
 
 @numba.njit(cache=True)
 def _first_from(time_us: np.int64, sliced: Sliced) -> int:
-    """Index of the first of the sorted times at or after one, as np.searchsorted gives it.
-
-    This is four times as fast: the slice is known at once, and its few times stand side by side.
-    """
+    """Index of the first time at or after one, as np.searchsorted gives it, four times as fast."""
     times_us, slice_bits, slice_starts = sliced
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
@@ -220,17 +217,16 @@ def local_parabolas_at(
                     sums[axis, power] += weight * points_px[i, axis] * age**power
             variance += nearness * sigmas_px[i] ** 2
             total += nearness
-        determinant = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
+        m0, m1, m2 = s2 * s4 - s3 * s3, s1 * s4 - s3 * s2, s1 * s3 - s2 * s2  # minors
+        determinant = s0 * m0 - s1 * m1 + s2 * m2
         if determinant < 1e-9 * s0**3:
             continue
         for axis in range(2):
-            b0, b1, b2 = sums[axis, 0], sums[axis, 1], sums[axis, 2]
-            positions[k, axis] = (
-                b0 * (s2 * s4 - s3 * s3) - s1 * (b1 * s4 - s3 * b2) + s2 * (b1 * s3 - s2 * b2)
-            ) / determinant
-            velocities[k, axis] = (
-                s0 * (b1 * s4 - b2 * s3) - b0 * (s1 * s4 - s3 * s2) + s2 * (s1 * b2 - b1 * s2)
-            ) / (determinant * half_window_s)
+            b0, b1, b2 = sums[axis]
+            c1, c2 = b1 * s4 - s3 * b2, b1 * s3 - s2 * b2
+            positions[k, axis] = (b0 * m0 - s1 * c1 + s2 * c2) / determinant
+            slope = s0 * c1 - b0 * m1 + s2 * (s1 * b2 - b1 * s2)
+            velocities[k, axis] = slope / (determinant * half_window_s)
         deviations[k] = np.sqrt(variance / total)
         counts[k] = last - first
     return positions, velocities, deviations, counts

@@ -61,11 +61,7 @@ class Objects:
 
     def events_of(self, pieces: list[Piece]) -> Mask:
         """Tell which events (n,) belong to some of the pieces."""
-        n_blobs = int(np.max(self.blob_of_event, initial=-1)) + 1
-        chosen = np.zeros(n_blobs + 1, np.bool_)  # the last of none
-        for piece in pieces:
-            chosen[piece.blobs] = True
-        return np.asarray(chosen[self.blob_of_event])
+        return np.isin(self.blob_of_event, [k for piece in pieces for k in piece.blobs])
 
 
 def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
@@ -151,12 +147,7 @@ def _blobs(
 def _labelled(
     events: Events, bounds: IntArray, cells: _Cells, full: int
 ) -> tuple[Labels, IntArray, Mask, IntArray]:
-    """Label connected clusters of cells with events, bin by bin of time, but for still cells.
-
-    So many events of a cell hold it together with its neighbours: it is full. Gives the cluster of
-    each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether it touches a
-    still cell (k,); and in how many bins each cell (rows, columns) is full.
-    """
+    """Label events' clusters of full cells, -1 of none; their bins; if beside still; times full."""
     still, beside = cells.still, np.ones((3, 3), np.bool_)
     at_still = binary_dilation(still, beside)
     cell_of_event = (events["y"] // cells.size_px) * np.intp(still.shape[1])

@@ -174,11 +174,9 @@ class _Blocks:
     def extremes(
         self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
-        """Find how far up the outline reaches in the windows about the usable samples.
-
-        The very highest value may be noise. Any rank lies inside the outline, the more so the fewer
-        events there are near it; the gap to a deeper rank tells how much.
-        """
+        """Find how far up the outline reaches in the windows about the usable samples."""
+        # The very highest value may be noise. Any rank lies inside the outline, the more so the
+        # fewer events there are near it; the gap to a deeper rank tells how much.
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + 2 * np.arange(len(self.times_s)) - half

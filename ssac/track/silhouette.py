@@ -128,10 +128,7 @@ def _counted_up(
     ramps_us: Array,
     rules: SilhouetteRules,
 ) -> tuple[Seen, Linked, float] | None:
-    """Count up all events, or where these do not come out even the denoised ones.
-
-    Gives beside the level of a pixel that is covered all over.
-    """
+    """Count up all events, or else the denoised ones; beside the level of a covered pixel."""
     counted = prepared(recorded)
     if counted is None:
         return None
@@ -159,12 +156,9 @@ def _counted_up(
 def _with_covered(
     counted: Counted, start_px: Array, reach_px: float, min_share: float
 ) -> Counted | None:
-    """Put first the events by which the object would have covered what it covers at the start.
-
-    They are as many as a pixel gets lighter by, of an object that is darker than what it passes,
-    or darker by, of a light one. None unless that share of these pixels is where the object starts
-    (2,), within reach of it: one that is both is in doubt everywhere.
-    """
+    """Put first the events by which the object would have covered what it covers at the start."""
+    # As many as a pixel gets lighter by, of an object that is darker than what it passes, or darker
+    # by, of a light one. None of one that is both: its pixels are in doubt everywhere.
     ((times_us, x, y), shape, samples), polarities = counted
     levels, has_left, least, most = _levels_since_start(*counted)
     is_dark = np.count_nonzero(least < -1) < np.count_nonzero(most > 1)
@@ -187,10 +181,7 @@ def _with_covered(
 def _levels_since_start(
     seen: Seen, polarities: NDArray[np.uint8]
 ) -> tuple[Counts, Mask, Counts, Counts]:
-    """Count up each pixel's events, darker up, until it leaves the box for the first time.
-
-    Gives the levels then, whether it did leave, and the least and largest ones before.
-    """
+    """Count up events, darker up, until a pixel leaves the box: level, if it left, least, most."""
     (times_us, x, y), shape, (samples_us, boxes) = seen
     n = len(samples_us)
     inside = np.zeros(shape, np.int32)  # the last sample with it in the box, since the start
@@ -240,12 +231,8 @@ def _boxes(
 
 @numba.njit(cache=True)
 def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, int, int]:
-    """Give each event's level, positive where darker, and the events before and after it.
-
-    The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short of
-    being back. Gives beside how often a pixel came to rest, and how often it did so within a
-    threshold of where it had been.
-    """
+    """Link events, levels positive where darker; how often pixels came to rest, and came back."""
+    # At rest it is 1 after darkness, -1 after light: up to a threshold short of being back.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.float32)
@@ -300,12 +287,8 @@ def _evened(
     links: tuple[Links, Links],
     back_shares: tuple[float, float],
 ) -> tuple[Levels, int, int]:
-    """Give the events' levels (m,), each pixel's of which come back to where they left from.
-
-    A lone step is noise, and so is what never comes back but in the last `open_us` of the
-    recording. Gives beside how often more than that was left, and how often it came back by itself:
-    as `_excursion` tells.
-    """
+    """Levels (m,) that come back to where they left from; how often one left, and came back."""
+    # A lone step is noise, and so is what never comes back but at the recording's end.
     before, after = links
     left, came_back = 0, 0
     levels = np.zeros(len(times_us), np.float32)
@@ -342,12 +325,9 @@ def _excursion(
     after: Links,
     back_shares: tuple[float, float],
 ) -> tuple[int, int, int, int, bool]:
-    """Follow a pixel's level from an event on until it is back.
-
-    It is back where nothing follows for long and little is left, the first share of the peak; or
-    the second, if it was on its way and what follows leads away again. Gives the last event, the
-    peak, the steps that made it darker and lighter, and whether it is back.
-    """
+    """Follow a level until it is back: last event, peak, steps to dark and light, if it is."""
+    # It is back where nothing follows for long and little is left, the first share of the peak; or
+    # the second, if it was on its way and what follows leads away again.
     darker, lighter, peak = 0, 0, 0
     e = first
     while True:
@@ -378,15 +358,10 @@ def _image_sums(
     corners: IntArray,
     images: NDArray[np.float32],
 ) -> Array:
-    """Sum up the images of the object at n samples, by what `_linked_levels` gave.
-
-    In a ramp (n,) [us] an edge changes a level by one. The share is told by the level of a pixel
-    covered all over, and its log contrast. Corners (n, 2) are column and row of each image's first
-    pixel; images (n, w, w) are written in place.
-
-    Gives (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
-    pixels of the box were never seen bare, and how many covered ones are on the border.
-    """
+    """Write images (n, w, w) with first pixels at corners (n, 2), and sum them up (n, 8)."""
+    # Area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many pixels of
+    # the box were never seen bare, and how many covered ones are on the border. In a ramp [us] an
+    # edge changes a level by one; a share is told by the level of a covered pixel and its contrast.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
     m, n = len(times_us), len(samples_us)
@@ -397,17 +372,14 @@ def _image_sums(
     # The first event of each stay in the box is found from the one of the stay before.
     following = np.full(m, NONE, np.int32)
     coming = np.full(shape, NONE, np.int32)
-    never_us = np.iinfo(np.int64).max // 2
-    coming_us = np.full(shape, never_us, np.int64)  # its time
-    coming_level = np.zeros(shape, np.float32)
     bare_us = np.zeros((*shape, 2), np.int64)  # between which it is surely not covered
+    bare_us[:, :, 1] = np.iinfo(np.int64).max
     longest_us = np.max(ramps_us)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
             coming[y[e], x[e]] = e
-            coming_us[y[e], x[e]] = times_us[e]
-            coming_level[y[e], x[e]] = abs(levels[e])
+            bare_us[y[e], x[e]] = _bare_us(NONE, e, times_us, levels, before, longest_us)
     whole = 1.0 - np.exp(-curvature)
     size = images.shape[1]
     e = 0
@@ -415,33 +387,22 @@ def _image_sums(
         left, right, top, bottom = boxes[i]
         time_us = samples_us[i]
         while e < m and times_us[e] <= time_us:
-            last[y[e], x[e]] = e
-            following_e = following[e]
-            if coming[y[e], x[e]] != following_e:
-                coming[y[e], x[e]] = following_e
-                is_none = following_e == NONE
-                coming_us[y[e], x[e]] = never_us if is_none else times_us[following_e]
-                coming_level[y[e], x[e]] = 0 if is_none else abs(levels[following_e])
-            bare_us[y[e], x[e]] = _bare_us(e, times_us, levels, before, after, longest_us)
+            last[y[e], x[e]], coming[y[e], x[e]] = e, following[e]
+            bare_us[y[e], x[e]] = _bare_us(e, after[e], times_us, levels, before, longest_us)
             e += 1
-        area, sum_x, sum_y, sum_xx, sum_xy, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for row in range(top, bottom + 1):
             for col in range(left, right + 1):
                 if inside[row, col] < i - 1:
                     if i > 0:
                         seen_bare[row, col] = True
                     if last[row, col] != NONE and times_us[last[row, col]] <= samples_us[i - 1]:
-                        last[row, col] = NONE
-                        bare_us[row, col] = 0
+                        last[row, col], b = NONE, coming[row, col]
+                        bare_us[row, col] = _bare_us(NONE, b, times_us, levels, before, longest_us)
                 inside[row, col] = i
                 sums[i, 6] += not seen_bare[row, col]
                 if bare_us[row, col, 0] <= time_us < bare_us[row, col, 1]:
                     continue
                 a = last[row, col]
-                if a == NONE:
-                    ahead_us = float(coming_us[row, col] - time_us)
-                    if ahead_us >= max(ramps_us[i] * coming_level[row, col], 1.0):
-                        continue  # the next event does not yet show
                 b = after[a] if a != NONE else coming[row, col]
                 level = _level_at(time_us, a, b, times_us, levels, before, after, ramps_us[i])
                 if level <= 0.0:
@@ -452,33 +413,30 @@ def _image_sums(
                 if 0 <= u < size and 0 <= v < size:
                     images[i, v, u] = share
                 u, v = col - left, row - top
-                area += share
-                sum_x += share * u
-                sum_y += share * v
-                sum_xx += share * u * u
-                sum_xy += share * u * v
-                sum_yy += share * v * v
-        sums[i, 0] = area
-        if area > 0.0:
-            u, v = sum_x / area, sum_y / area
+                su, sv = share * u, share * v
+                for k, term in enumerate((share, su, sv, su * u, su * v, sv * v)):
+                    sums[i, k] += term
+        if sums[i, 0] > 0.0:
+            sums[i, 1:6] /= sums[i, 0]
+            u, v = sums[i, 1], sums[i, 2]
+            sums[i, 3:6] -= np.array([u * u, u * v, v * v])
             sums[i, 1], sums[i, 2] = left + u, top + v
-            sums[i, 3] = sum_xx / area - u * u
-            sums[i, 4] = sum_xy / area - u * v
-            sums[i, 5] = sum_yy / area - v * v
     return sums
 
 
 @numba.njit(cache=True)
 def _bare_us(
-    a: int, times_us: IntArray, levels: Levels, before: Links, after: Links, longest_us: float
+    a: int, b: int, times_us: IntArray, levels: Levels, before: Links, longest_us: float
 ) -> tuple[int, int]:
-    """Give times between which `_level_at` is 0 after event a, of ramps up to the longest."""
-    b, level_a = after[a], abs(float(levels[a]))
+    """Give times between which `_level_at` is 0, of ramps up to the longest."""
+    start_us, level_a, shrank = 0, 0.0, True
+    if a != NONE:
+        level_a = abs(float(levels[a]))
+        shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
+        fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
+        start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
     if level_a > 1.0:
         return 0, 0
-    shrank = before[a] != NONE and abs(levels[before[a]]) > level_a
-    fade_us = min(longest_us, float(times_us[a] - times_us[before[a]])) if shrank else 0.0
-    start_us = times_us[a] + int(np.ceil(max(fade_us, 1.0)))
     if b == NONE:
         return start_us, np.iinfo(np.int64).max
     level_b = abs(float(levels[b]))
@@ -498,10 +456,8 @@ def _level_at(
     after: Links,
     ramp_us: float,
 ) -> float:
-    """Give a pixel's level, without sign, between its event a and its next, b; either may be none.
-
-    Level 1 is left, unless the next event is near: it fades and comes as fast as before and after.
-    """
+    """Give a pixel's level, without sign, between its events a and b; either may be none."""
+    # Level 1 is left, unless b is near: it fades and comes as fast as before and after.
     fading, coming = 0.0, 0.0
     if a != NONE:
         level_a, ago_us = float(levels[a]), float(time_us - times_us[a])

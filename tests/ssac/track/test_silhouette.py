@@ -233,11 +233,12 @@ def test_a_pixel_is_not_covered_where_it_is_passed_over(seed) -> None:
     before, after = np.arange(n, dtype=np.int32) - 1, np.arange(n, dtype=np.int32) + 1
     after[-1] = -1
     n_passed = n_covered = 0
-    for a in range(n):
-        start_us, end_us = _bare_us(a, times_us, levels, before, after, 9000.0)
-        until_us = times_us[a + 1] if a + 1 < n else times_us[a] + 100_000
-        for time_us in np.unique(np.linspace(times_us[a], until_us - 1, 60).astype(np.int64)):
-            links = time_us, a, after[a], times_us, levels, before, after
+    for a, b in zip([-1, *range(n)], [0, *after], strict=True):  # none before, and none after
+        start_us, end_us = _bare_us(a, b, times_us, levels, before, 9000.0)
+        from_us = times_us[a] if a >= 0 else 0
+        until_us = times_us[b] if b >= 0 else times_us[a] + 100_000
+        for time_us in np.unique(np.linspace(from_us, until_us - 1, 60).astype(np.int64)):
+            links = time_us, a, b, times_us, levels, before, after
             most = max(_level_at(*links, ramp_us) for ramp_us in (9000.0, 2000.0, 50.0))
             passed = start_us <= time_us < end_us
             assert not (passed and most > 0.0)
