@@ -33,8 +33,7 @@ from experiments.machine.parts import peak_memory_mb
 from experiments.scenes.simulate import ManyCameras
 from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import held
-from experiments.studies.outdoor import PlacedRow, placed_errors
-from experiments.worlds.outdoor import true_track
+from experiments.studies.outdoor import PlacedRow, placed_errors, true_track
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
 from sim.sensor.frames import FrameConfig
