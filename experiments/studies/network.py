@@ -171,7 +171,7 @@ def _written(work: Path, kind: str, k: int, flown: Flown) -> Path:
 
 def _pose_figures(answer: NetworkAnswer, k: int, truth: FlightTruth) -> dict[str, Any]:
     """Compare the clock and the pose of the k-th camera."""
-    camera, built, T_k_1 = answer.cameras[k], answer.built[0], truth.poses[k]
+    camera, built, T_k_1 = answer.cameras[k], answer.built[0], truth.pose(k)
     assert camera.R is not None  # the network has it
     assert camera.t is not None
     at = int(border_offsets(built.network)[built.members.index(k)])
