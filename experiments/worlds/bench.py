@@ -7,9 +7,10 @@ The flights are simulated and kept as any others. What the room adds, and the ca
 when they are loaded, so that kinds that differ in these alone share a recording.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Annotated, Any
 
 from experiments.lab.cache import Cache
@@ -17,6 +18,7 @@ from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
 from experiments.lab.scored import Row, frames_of, scored_row
+from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig
@@ -83,53 +85,43 @@ class SetUp:
     polarity: int | None = None  # of the events that are used: 1 or 0; None: both
 
 
-Change = Callable[[SetUp], SetUp]
-
-
-def _sim(**changes: Any) -> Change:
-    return lambda bench: replace(bench, sim=replace(bench.sim, **changes))
-
-
-def _effects(**changes: Any) -> Change:
-    return lambda bench: _sim(effects=replace(bench.sim.effects, **changes))(bench)
-
-
-def _room(**changes: Any) -> Change:
-    return lambda bench: replace(bench, room=replace(bench.room, **changes))
-
-
-def _preset(sensor: tuple[str, ...] = (), effects: tuple[str, ...] = ()) -> Change:
+def _preset(*names: str) -> dict[str, Any]:
     """Take some of the preset's fields."""
-    pixels = {name: getattr(PRESET.sensor, name) for name in sensor}
-    more = _effects(**{name: getattr(PRESET.effects, name) for name in effects})
-    return lambda bench: more(_sim(sensor=replace(bench.sim.sensor, **pixels))(bench))
+    return {f"sim.{name}": attrgetter(name)(PRESET) for name in names}
 
 
-_FRAME_NOISE = _preset(effects=("frame_phase_spread", "frame_read_noise", "frame_full_well_e"))
-
-IMPERFECTIONS: Mapping[str, Change] = {
-    "turning": _sim(turning=True),
-    "texture": _sim(textured=True),
-    "mismatch": _preset(("threshold_mismatch",)),
+IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
+    "turning": {"sim.turning": True},
+    "texture": {"sim.textured": True},
+    "mismatch": _preset("sensor.threshold_mismatch"),
     "noise": _preset(
-        ("leak_hz", "hot_pixel_share", "hot_pixel_hz", "shot_noise_hz", "background_hz"),
-        ("dim_noise_on_hz", "dim_noise_off_hz", "dim_noise_exponent", "noise_spread_decades",
-         "leak_jitter", "hot_clusters", "hot_cluster_hz"),
+        "sensor.leak_hz", "sensor.hot_pixel_share", "sensor.hot_pixel_hz", "sensor.shot_noise_hz",
+        "sensor.background_hz", "effects.dim_noise_on_hz", "effects.dim_noise_off_hz",
+        "effects.dim_noise_exponent", "effects.noise_spread_decades", "effects.leak_jitter",
+        "effects.hot_clusters", "effects.hot_cluster_hz",
     ),
-    "low-pass": _preset(effects=("cutoff_hz_per_lux", "cutoff_min_hz", "cutoff_max_hz")),
-    "latency": _preset(effects=("latency_s", "latency_lux_s", "jitter_s", "jitter_lux_s")),
-    "readout": _preset(("refractory_s",), ("readout_hz", "readout_queue")),
-    "frame gaps": lambda bench: _FRAME_NOISE(_effects(frame_gap_s=FRAME_GAP_S)(bench)),
-    "blur": _preset(effects=("blur_px",)),
-    "flicker": _effects(flicker_depth=FLICKER_DEPTH),
-    "unequal light": _effects(camera2_light=CAMERA2_LIGHT),
-    "changing light": _room(light_std=LIGHT_STD),
-    "shadow": _room(shadow=SHADOW),
-    "wire": _room(wire_m=WIRE_M),
-    "intrinsics": lambda bench: replace(bench, is_calibrated=True),
-    "truth": lambda bench: replace(bench, is_truth_calibrated=True),
+    "low-pass": _preset(
+        "effects.cutoff_hz_per_lux", "effects.cutoff_min_hz", "effects.cutoff_max_hz"
+    ),
+    "latency": _preset(
+        "effects.latency_s", "effects.latency_lux_s", "effects.jitter_s", "effects.jitter_lux_s"
+    ),
+    "readout": _preset("sensor.refractory_s", "effects.readout_hz", "effects.readout_queue"),
+    "frame gaps": {
+        "sim.effects.frame_gap_s": FRAME_GAP_S,
+        **_preset("effects.frame_phase_spread", "effects.frame_read_noise",
+                  "effects.frame_full_well_e"),
+    },
+    "blur": _preset("effects.blur_px"),
+    "flicker": {"sim.effects.flicker_depth": FLICKER_DEPTH},
+    "unequal light": {"sim.effects.camera2_light": CAMERA2_LIGHT},
+    "changing light": {"room.light_std": LIGHT_STD},
+    "shadow": {"room.shadow": SHADOW},
+    "wire": {"room.wire_m": WIRE_M},
+    "intrinsics": {"is_calibrated": True},
+    "truth": {"is_truth_calibrated": True},
 }  # fmt: skip
-"""By name: what turns the ideal bench into one that has it."""
+"""By name: the fields of a `SetUp` that the ideal bench has otherwise."""
 
 
 def only(name: str) -> str:
@@ -165,10 +157,12 @@ def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
 
 def bench_of(kind: str, angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
     """Give the bench of a kind, one of KINDS."""
-    bench = ideal(angle_deg, duration_s, setup_seed)
-    for name in had_by(kind):
-        bench = IMPERFECTIONS[name](bench)
-    return bench
+    return spoilt(ideal(angle_deg, duration_s, setup_seed), had_by(kind))
+
+
+def spoilt(bench: SetUp, names: Iterable[str]) -> SetUp:
+    """Add imperfections to a bench."""
+    return changed(bench, {k: v for name in names for k, v in IMPERFECTIONS[name].items()})
 
 
 def had_by(kind: str) -> tuple[str, ...]:
