@@ -89,11 +89,6 @@ class HandCell(OddCell):
         """Which run it is."""
         return {**super().columns, "setting": self.setting}
 
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What the row depends on beside recording and code."""
-        return *super().inputs, self.setting, self.every
-
 
 @dataclass(frozen=True)
 class HandRow(ImperfectRow):
@@ -135,19 +130,14 @@ class Tried:
     @cached_property
     def chain(self) -> Chain:
         """What all settings share that leave the rig as it is; SsacError if that is unusable."""
-        return Chain((self.pair.cam1, self.pair.cam2), self.pair.rig)
+        return Chain(self.pair[:2], self.pair.rig)
 
     def said(self, setting: Setting) -> HandRow:
         """Run a setting, and score what it says."""
-        pair = self.pair
-        if setting.deviations == (None, None):
-            chain = self.chain
-        else:
-            one, other = (
-                with_deviations(camera, *setting.deviations)
-                for camera in (pair.rig.cam1, pair.rig.cam2)
-            )
-            chain = Chain((pair.cam1, pair.cam2), Rig(one, other, pair.rig.T_2_1))
+        chain, rig = self.chain, self.pair.rig
+        if setting.deviations != (None, None):
+            one, other = (with_deviations(of, *setting.deviations) for of in (rig.cam1, rig.cam2))
+            chain = Chain(self.pair[:2], Rig(one, other, rig.T_2_1))
         start_s = time.process_time()
         estimate = chain.under(setting.config).estimate(setting.method)
         cpu_s = time.process_time() - start_s
@@ -181,24 +171,17 @@ def hand_row(cell: HandCell, tried: Tried) -> HandRow:
 
 def beyond(runs: pd.DataFrame) -> dict[str, Mask]:
     """Tell of t_d, R and t whether they are given and over `MAX_SIGMAS` deviations off."""
-    most = chi2.sf(MAX_SIGMAS**2, 1)  # of several angles together one that is as improbable
-    return {
-        name: chi2.sf(np.square(_numbers(runs, one.column)), one.parameters) < most
-        for name, one in HELD.items()
-    }
+    most = chi2.cdf(MAX_SIGMAS**2, 1)  # of several angles together one that is as improbable
+    return {name: one.levels(runs) > most for name, one in HELD.items()}
 
 
 def right(runs: pd.DataFrame) -> Mask:
     """Tell which runs (n,) give an offset, and nothing that is wrong."""
     far = beyond(runs)
-    bad = far["t_d"] | ~(_numbers(runs, "t_d_error_ms") < MAX_ERROR_MS)
+    bad = far["t_d"] | ~(runs["t_d_error_ms"] < MAX_ERROR_MS)
     for name, column in (("R", "r_error_deg"), ("t", "t_error_deg")):
-        bad |= far[name] & (_numbers(runs, column) > MAX_ERROR_DEG)
-    return np.asarray(runs["offset_given"].astype(bool)) & ~bad
-
-
-def _numbers(runs: pd.DataFrame, column: str) -> Array:
-    return runs[column].to_numpy(np.float64)
+        bad |= far[name] & (runs[column] > MAX_ERROR_DEG)
+    return np.asarray(runs["offset_given"].astype(bool) & ~bad)
 
 
 def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -225,14 +208,15 @@ def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
 def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
     """Give the row of the default on a recording, with what is to be said of it."""
     default = runs[runs["setting"] == UNASKED].iloc[0]
-    better = runs[runs["is_right"] & (runs["gives"] > default["gives"])]["setting"]
+    better = list(runs[runs["is_right"] & (runs["gives"] > default["gives"])]["setting"])
     verdict = "right" if default["is_right"] else "refused"
     if default["gives"] and not default["is_right"]:
-        verdict, better = "wrong", better[:0]
-    elif len(better):
+        verdict, better = "wrong", []
+    elif better:
         verdict = "settled"
-    more = pd.Series({"verdict": verdict, "settings": list(better)})
-    judged: pd.Series[Any] = pd.concat([default, more])
+    judged: pd.Series[Any] = pd.concat(
+        [default, pd.Series({"verdict": verdict, "settings": better})]
+    )
     return judged
 
 

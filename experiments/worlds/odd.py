@@ -89,11 +89,6 @@ class OddCell(FlightCell):
             "spoilt_by": self.spoilt_by,
         }  # fmt: skip
 
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What it depends on beside the flight."""
-        return self.spoilt, self.sim.t_d_s
-
 
 def recorded(cell: OddCell, cache: Cache) -> Pair:
     """Give what both cameras recorded, and the rig as it is stated, with the true pose."""
