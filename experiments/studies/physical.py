@@ -253,7 +253,7 @@ BUDGET = Study(
             *scored_checks("error_budget_runs")),
     config={"n_recordings": BUDGET_RECORDINGS, "first_flight": BUDGET_FIRST,
             "duration_s": BUDGET_S, "t_d_ms": BUDGET_T_D_MS, "angles_deg": ANGLES_DEG,
-            "kinds": KINDS, "methods": METHODS,
+            "kinds": list(KINDS), "methods": METHODS,
             "bench": bench.bench_of(ALL, ANGLES_DEG[0], BUDGET_S, 0)},
     command=bench.COMMAND,
 )  # fmt: skip

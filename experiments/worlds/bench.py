@@ -7,7 +7,7 @@ The flights are simulated and kept as any others. What the room adds, and the ca
 when they are loaded, so that kinds that differ in these alone share a recording.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -61,7 +61,6 @@ RENDER = RenderConfig(lattice=Lattice(8, 1), check=False)
 SAMPLING = SamplingConfig(max_step_px=0.5)
 
 NONE, ALL = "none", "all"
-_ONLY, _ALL_BUT = "only ", "all but "
 
 SETTLING_S = 0.1
 """First part of a recording that is left out: pixels that leak or flicker start all at once."""
@@ -126,16 +125,21 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
 
 def only(name: str) -> str:
     """Name the kind that has one imperfection."""
-    return f"{_ONLY}{name}"
+    return f"only {name}"
 
 
 def all_but(name: str) -> str:
     """Name the kind that has all but one."""
-    return f"{_ALL_BUT}{name}"
+    return f"all but {name}"
 
 
-KINDS = (NONE, *map(only, IMPERFECTIONS), *map(all_but, IMPERFECTIONS), ALL)
-"""Of benches: of the error budget."""
+KINDS: Mapping[str, Collection[str]] = {
+    NONE: (),
+    **{only(name): (name,) for name in IMPERFECTIONS},
+    **{all_but(name): [one for one in IMPERFECTIONS if one != name] for name in IMPERFECTIONS},
+    ALL: IMPERFECTIONS,
+}
+"""Of benches, of the error budget: the imperfections of each."""
 
 
 def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
@@ -157,20 +161,12 @@ def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
 
 def bench_of(kind: str, angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
     """Give the bench of a kind, one of KINDS."""
-    return spoilt(ideal(angle_deg, duration_s, setup_seed), had_by(kind))
+    return spoilt(ideal(angle_deg, duration_s, setup_seed), KINDS[kind])
 
 
 def spoilt(bench: SetUp, names: Iterable[str]) -> SetUp:
     """Add imperfections to a bench."""
     return changed(bench, {k: v for name in names for k, v in IMPERFECTIONS[name].items()})
-
-
-def had_by(kind: str) -> tuple[str, ...]:
-    """List the imperfections of a kind."""
-    if kind.startswith(_ONLY):
-        return (kind.removeprefix(_ONLY),)
-    left_out = kind.removeprefix(_ALL_BUT)
-    return tuple(name for name in IMPERFECTIONS if kind != NONE and name != left_out)
 
 
 @dataclass(frozen=True)
@@ -233,33 +229,34 @@ def known_rig(bench: SetUp) -> Rig:
 
     What is not calibrated is the truth. A calibration is its set-up's: all recordings share it.
     """
-    sim, config, known = bench.sim, bench.calibration, list[Camera]()
-    rig = bench_rig(sim)
+    sim, config, rig = bench.sim, bench.calibration, bench_rig(bench.sim)
     cameras = [
         calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
         if bench.is_calibrated
         else exact(camera)
         for index, camera in enumerate(rig.cameras)
     ]
-    for camera, one in zip(rig.cameras, cameras, strict=True):
-        size, model = (camera.width, camera.height), camera.distortion_model
-        known.append(Camera(one.K, *size, model, one.distortion_coeffs, one.intrinsics_std_px))
+    cam1, cam2 = (
+        Camera(one.K, camera.width, camera.height, camera.distortion_model,
+               one.distortion_coeffs, one.intrinsics_std_px)
+        for camera, one in zip(rig.cameras, cameras, strict=True)
+    )  # fmt: skip
     T_2_1 = rig.relative_pose(0, 1)
     if bench.is_truth_calibrated:
         T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
-    return Rig(known[0], known[1], T_2_1)
+    return Rig(cam1, cam2, T_2_1)
 
 
 def _recorded(cell: PhysicalCell, pair: Pair) -> Chain:
     """Make of a recording what the bench's cameras saw."""
     bench, cameras = cell.bench, []
-    sees_room = bench.room != RoomConfig()
-    scene = bench.sim.scene(cell.seed) if sees_room else None
-    hanging = hanging_of(bench.sim, cell.seed) if sees_room else None
+    filmed = None
+    if bench.room != RoomConfig():
+        filmed = bench.sim.scene(cell.seed), hanging_of(bench.sim, cell.seed)
     for index, camera in enumerate((pair.cam1, pair.cam2)):
         events = camera.events
-        if scene and hanging:
-            added = room_events(bench.room, scene, hanging, bench.sim.sensor, cell.seed, index)
+        if filmed:
+            added = room_events(bench.room, *filmed, bench.sim.sensor, cell.seed, index)
             events = merged(events, added)
         events = events[events["t"] >= round(US_PER_S * SETTLING_S)]
         if bench.polarity is not None:
