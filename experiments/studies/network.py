@@ -145,7 +145,7 @@ def camera_row(cell: CameraCell, flown: Flown) -> CameraRow:
     if camera.status != Status.OK or camera.group != 1 or answer.cameras[0].group != 1:
         return CameraRow(str(camera.status), camera.reason)
     figures = _pose_figures(answer, k, flown.truth) if k else _path_figures(answer, flown.truth)
-    return replace(CameraRow(str(camera.status)), **figures)
+    return CameraRow(str(camera.status), **figures)
 
 
 def solved(kind: str, flown: Flown) -> NetworkAnswer:

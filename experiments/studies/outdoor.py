@@ -219,13 +219,10 @@ def at_once(
 ) -> NetworkAnswer:
     """Find clocks, poses and path of two or three cameras, as `ssac sync` of their files does."""
     with TemporaryDirectory() as name:
-        work, n = Path(name), len(folders) + 1
-        write_rig(work / "rig.yaml", calibrated(cell.config, cell.flight)[:n])
-        paths = [work / f"cam{k + 1}.h5" for k in range(n)]
-        for k in reversed(range(1, n)):
-            write_events(work, folders[k - 1], truths[k - 1], cell.flight, second=k)
-            paths[1].rename(paths[k])
-        return network(chain_of(paths, work / "rig.yaml", CONFIG)).network
+        files = write_events(Path(name), folders, truths, cell.flight)
+        rig = Path(name) / "rig.yaml"
+        write_rig(rig, calibrated(cell.config, cell.flight)[: len(files)])
+        return network(chain_of(files, rig, CONFIG)).network
 
 
 def estimated(
@@ -239,10 +236,10 @@ def estimated(
         rig = (config,) * 2 if is_exact else calibrated(config, flight)[:2]
         write_rig(work / "rig.yaml", rig)
         if kind in ("true_tracks", "all_true"):
-            files = write_tracks(work, config, truth)
+            cam1, cam2 = write_tracks(work, config, truth)
         else:
-            files = write_events(work, folder, truth, flight)
-        found = sync(*files, work / "rig.yaml", config=CONFIG).answer
+            cam1, cam2 = write_events(work, (folder,), (truth,), flight)
+        found = sync(cam1, cam2, work / "rig.yaml", config=CONFIG).answer
     is_given = kind in ("true_pose", "all_true")
     R, t = (truth.R, truth.t) if is_given else (found.estimate.R, found.estimate.t)
     if not found.estimate.has_offset or R is None or t is None:
@@ -291,15 +288,15 @@ def _path_errors(path: SpacePath, truth: FlightTruth, flight: int) -> dict[str, 
     }
 
 
+def means(flights: pd.DataFrame) -> dict[str, Any]:
+    """Give means over the flights that were answered, and how many these are."""
+    given = flights[flights["rmse_m"].notna()]
+    return {"answered": len(given), "of": len(flights), **given[MEASURED].mean()}
+
+
 def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Give means over the flights that were answered, and how many these are, by kind."""
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        answered = group[group["rmse_m"].notna()]
-        means = {name: answered[name].mean() for name in MEASURED}
-        return {"answered": len(answered), "of": len(group), **means}
-
-    return by_group(runs, ("kind",), row)
+    """Sum the flights up by kind."""
+    return by_group(runs, ("kind",), means)
 
 
 def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
@@ -326,8 +323,8 @@ def page_table(results: Results) -> str:
     def row(flights: pd.DataFrame) -> dict[str, Any]:
         given = flights[flights["rmse_m"].notna()]
         return {
-            **given.mean(numeric_only=True),
-            **{"answered": len(given), "of": len(flights), "most_m": given["rmse_m"].max()},
+            **means(flights),
+            "most_m": given["rmse_m"].max(),
             "n_t_d": held(given, "t_d", "ms").sum(),
             "n_skew": held(given, "skew", "ppm").sum(),
             "seen": 100 * given["coverage"].mean(),
@@ -428,21 +425,23 @@ def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
 
 
 def write_events(
-    work: Path, folder: Path, truth: FlightTruth, flight: int, second: int = 1
-) -> tuple[Path, Path]:
-    """Write both cameras' events of the drone, with clouds behind, and camera 2's with its offset.
+    work: Path, folders: tuple[Path, ...], truths: tuple[FlightTruth, ...], flight: int
+) -> list[Path]:
+    """Write all cameras' events of the drone, with clouds behind, by their own clocks.
 
-    `second` is which camera of the flight, from 0 on, is the recording's second.
+    Each recording's second camera is one of them; the first is the same in all.
     """
-    clock = truth.clock  # of which the recording has the skew
-    duration_s = float(truth.times_s[-1])
-    for file, camera, ppm, shown in (
-        ("cam1.h5", 0, 0.0, Clock()),
-        ("cam2.h5", second, clock.skew_ppm, Clock(-clock.t_d_s)),
-    ):
-        found = drone_events(folder / file, flight, camera, ppm, clock.t_ref_s, duration_s)
-        write_synced(work / file, found, shown)
-    return work / "cam1.h5", work / "cam2.h5"
+    files = [work / f"cam{k + 1}.h5" for k in range(len(folders) + 1)]
+    for k, file in enumerate(files):
+        folder, truth = folders[max(k - 1, 0)], truths[max(k - 1, 0)]
+        clock = truth.clock  # of which the recording has the skew
+        source, ppm, shown = "cam1.h5", 0.0, Clock()
+        if k:
+            source, ppm, shown = "cam2.h5", clock.skew_ppm, Clock(-clock.t_d_s)
+        duration_s = float(truth.times_s[-1])
+        found = drone_events(folder / source, flight, k, ppm, clock.t_ref_s, duration_s)
+        write_synced(file, found, shown)
+    return files
 
 
 @lru_cache(maxsize=4)  # of one flight, whose kinds are estimated one after the other
@@ -462,9 +461,9 @@ def drone_events(
     return EventFile(faint_object_events(events, width, height), width, height)
 
 
-def write_tracks(work: Path, config: SimConfig, truth: FlightTruth) -> tuple[Path, Path]:
+def write_tracks(work: Path, config: SimConfig, truth: FlightTruth) -> list[Path]:
     """Write the images of the drone's origin as both cameras' tracks."""
-    files = work / "cam1.csv", work / "cam2.csv"
+    files = [work / "cam1.csv", work / "cam2.csv"]
     for file, clock, px in zip(files, (Clock(), truth.clock), truth.centres_px, strict=True):
         save_track(file, true_track(truth.times_s, px, clock, config.resolution, _OF_TRUTH))
     return files
