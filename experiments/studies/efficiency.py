@@ -37,7 +37,7 @@ from experiments.lab.grid import named_config
 from experiments.lab.recorded import FlightTruth, load_pair, load_truth
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
-from experiments.lab.summary import answered, by_group, made_of
+from experiments.lab.summary import answered, by_group, made_of, quoted_of
 from experiments.paper.esim import ERRORS, TABLES, in_order
 from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
@@ -134,12 +134,6 @@ def summary(results: Results) -> pd.DataFrame:
     """Sum up the tables' runs beside the bounds."""
     beside = runs_beside_bounds(results.table("runs"), results.table("efficiency_runs"))
     return efficiency_table(beside)
-
-
-def share(results: Results, method: str) -> str:
-    """Range over the cells of the bound of t_d over the error, for white noise."""
-    shares = 100 * results.column("efficiency", "t_d_efficiency", method=method)
-    return f"{shares.min():.0f} to {shares.max():.0f} %"
 
 
 # --- The bound ---
@@ -262,6 +256,9 @@ SAMPLES: Mapping[str, Callable[[TwoViews, float], WeighedPairs]] = {
 
 KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
 
+# Range over the cells of the bound of t_d over the error, for white noise.
+_SHARE = partial(quoted_of, "efficiency", "t_d_efficiency", "{low:.0f} to {high:.0f} %", 100.0)
+
 STUDIES = (
     Study(
         "efficiency",
@@ -269,12 +266,10 @@ STUDIES = (
         bound_cells,
         Measure(load_flown, bound_row, BoundRow),
         Runs("efficiency_runs.csv", FLIGHT),
-        (
-            Made("efficiency.csv", summary),
-            made_of("efficiency.png", efficiency_figure, "efficiency"),
-        ),
-        numbers={f"bound.{m}": partial(share, method=m) for m in ("ssac", "joint", "tangency")},
+        (Made("efficiency.csv", summary),
+         made_of("efficiency.png", efficiency_figure, "efficiency")),
+        numbers={f"bound.{m}": _SHARE(method=m) for m in ("ssac", "joint", "tangency")},
         config={"tables": TABLES, "methods": list(SAMPLES)},
         reads=("runs.csv",),
     ),
-)
+)  # fmt: skip

@@ -117,7 +117,7 @@ def imperfect_cells() -> list[KindCell]:
             sim = replace(SCENES[scene], angle_deg=angle_deg)
             flights = (flight, flight + OTHER_FLIGHT)
             kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
-            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES, KindCell)
+            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES)
     return cells
 
 

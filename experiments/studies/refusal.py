@@ -25,7 +25,7 @@ from experiments.lab.cell import Measure, RunRow, load_nothing
 from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import by_group, made_of, quoted
+from experiments.lab.summary import by_group, made_of, quoted, quoted_of
 from experiments.paper.esim import ANGLES_DEG
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
@@ -76,7 +76,7 @@ def refusal_cells() -> list[KindCell]:
             angle_deg = ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)]
             sim = open_flights.flight_config(path, angle_deg)
             kinds = [name for name, kind in KINDS.items() if kind.path == path]
-            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES, KindCell)
+            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES)
     return cells
 
 
@@ -139,11 +139,6 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
         }
 
     return by_group(runs, ("kind", "method"), row)
-
-
-def wrong(results: Results, method: str) -> str:
-    """Count the confident wrong answers of one method."""
-    return f"{results.column('refusal', 'confident_wrong', method=method).sum():.0f}"
 
 
 def ordinary_answered(results: Results) -> str:
@@ -242,7 +237,7 @@ def reason_cells(
     for index in range(recordings):
         flight = REASONS_FIRST_FLIGHT + BASE_STEP * base + index
         sim = open_flights.flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
-        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"], KindCell)
+        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"])
     return cells
 
 
@@ -310,6 +305,8 @@ def share(results: Results, columns: Sequence[str], of: str) -> str:
     return f"{100 * sum(row[column] for column in columns) / row[of]:.0f}"
 
 
+_WRONG = partial(quoted_of, "refusal", "confident_wrong", "{total:.0f}")
+
 STUDIES = (
     Study(
         "refusal",
@@ -321,7 +318,7 @@ STUDIES = (
         numbers={
             "refusal.recordings": lambda of: str(len(of.rows("refusal_runs", method="joint"))),
             "refusal.ordinary": ordinary_answered,
-            **{f"refusal.wrong.{m}": partial(wrong, method=m) for m in METHOD_NAMES},
+            **{f"refusal.wrong.{m}": _WRONG(method=m) for m in METHOD_NAMES},
         },
         config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},
     ),
