@@ -33,12 +33,11 @@ from scipy.interpolate import CubicSpline
 from experiments.drawing.errors import efficiency_figure
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
-from experiments.lab.grid import named_config
 from experiments.lab.recorded import FlightTruth, load_pair, load_truth
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, quoted_of
-from experiments.paper.esim import ERRORS, TABLES, in_order
+from experiments.paper.esim import ERRORS, KEY, TABLES, in_order, table_cells
 from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
 from ssac.config import Config
@@ -97,7 +96,7 @@ def bound_row(cell: BoundCell, flown: Flown) -> BoundRow:
 def bound_cells() -> list[BoundCell]:
     """List every method that has a bound, on every flight of the tables, whatever its offset."""
     cells: dict[tuple[Any, ...], BoundCell] = {}
-    for cell in (cell for name in TABLES for cell in named_config(name).cells()):
+    for cell in table_cells():
         if cell.method in SAMPLES:
             found = BoundCell(cell.sim, cell.flight, cell.seed, cell.estimator, cell.method)
             cells.setdefault((cell.sim, cell.seed, cell.method), found)
@@ -107,10 +106,10 @@ def bound_cells() -> list[BoundCell]:
 def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame:
     """Put the bound of each run that is "ok" beside its errors."""
     found = [f"{one.parameter}_bound_{one.unit}" for one in ERRORS.values()]
-    good = answered(runs)[[*FLIGHT, "t_d_ms", *ERRORS]]
+    good = answered(runs)[[*KEY, *ERRORS]]
     bounded = answered(bounds)[[*FLIGHT, "sigma_px", "n_samples", *found]]
     both = good.merge(bounded, on=list(FLIGHT), how="inner", validate="many_to_one")
-    return in_order(both, ["duration_s", "angle_deg", "t_d_ms", "flight", "method"])
+    return in_order(both, KEY)
 
 
 def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:

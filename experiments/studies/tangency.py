@@ -21,7 +21,6 @@ from experiments.drawing.style import ACCENT, Figure, legend_outside, method_loo
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import Pair, recorded_pair
-from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, shown_table
@@ -331,11 +330,7 @@ def cause_figure(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def left_table(results: Results) -> str:
-    """Lay out what is left of the errors."""
-    columns = {error.heading: f"{{{error.column}:.3f}}" for error in ERRORS.values()}
-    return shown_table(results.table("oracle"), {"put right": "{cause}", **columns})
-
+_LEFT = {error.heading: f"{{{error.column}:.3f}}" for error in ERRORS.values()}
 
 STUDIES = (
     Study(
@@ -356,6 +351,8 @@ STUDIES = (
         Runs("oracle_runs.csv", ("angle_deg", "flight", "cause")),
         (made_of("oracle.csv", cause_table, "oracle_runs"),
          made_of("oracle.png", cause_figure, "oracle")),
-        config=FLOWN, numbers={"table.oracle": left_table},
+        config=FLOWN,
+        numbers={"table.oracle": lambda of: shown_table(of.table("oracle"),
+                                                        {"put right": "{cause}", **_LEFT})},
     ),
 )  # fmt: skip
