@@ -20,8 +20,7 @@ from trimesh.creation import box
 
 from experiments.lab.cache import BRIGHTNESS_CODE, Cache, row_of_text, text_of_row
 from experiments.lab.grid import CONFIGS, load_config
-from experiments.lab.recorded import check_mesh
-from experiments.worlds.bound import load_truth
+from experiments.lab.recorded import check_mesh, load_truth
 from sim.errors import SimError
 from sim.scene.trajectory import trajectory_from_csv
 from ssac.errors import SsacError
@@ -123,7 +122,14 @@ POINTS_PX = np.column_stack([100.0 + 10.0 * TIMES_S, 130.0 + 5.0 * np.sin(TIMES_
 TRUTH = {
     "times_s": TIMES_S.tolist(),
     "drone_position_W_m": np.column_stack([POINTS_PX, TIMES_S]).tolist(),
-    "cameras": {name: {"T_C_W": np.eye(4).tolist()} for name in ("cam1", "cam2")},
+    "drone_quaternion_W_B_xyzw": [],
+    "cameras": {
+        name: {"T_C_W": np.eye(4).tolist(), "drone_px": POINTS_PX.tolist()}
+        for name in ("cam1", "cam2")
+    },
+    "R": np.eye(3).tolist(),
+    "t": [1.0, 0.0, 0.0],
+    **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
 }
 FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
     f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)

@@ -42,31 +42,35 @@ class FlightTruth:
     positions_m: Array  # (n, 3) of the drone's origin, in the world's frame
     quaternions: Array  # (n, 4) body to world
     centres_px: tuple[Array, ...]  # of each camera (n, 2): images of the origin, or NaN
-    poses: tuple[Array, ...]  # of each camera (4, 4): T_k_1, from the first camera's frame
+    T_C_W: tuple[Array, ...]  # of each camera (4, 4)
     R: Array  # (3, 3) x2 = R x1 + t, of the first two cameras
     t: Array  # (3,) of length 1
     baseline_m: float
     clock: Clock  # camera 2's
 
+    def pose(self, k: int) -> Array:
+        """T_k_1 (4, 4): from the first camera's frame to that of the k-th."""
+        return np.asarray(self.T_C_W[k] @ np.linalg.inv(self.T_C_W[0]))
+
 
 def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
     """Read a recording's truth; the clock with another offset where one was added since."""
-    content = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    cameras = [content["cameras"][f"cam{k + 1}"] for k in range(len(content["cameras"]))]
-    T_1_W = np.array(cameras[0]["T_C_W"])
-    return FlightTruth(
-        np.array(content["times_s"]),
-        np.array(content["drone_position_W_m"]),
-        np.array(content["drone_quaternion_W_B_xyzw"]),
-        tuple(np.array(camera["drone_px"], np.float64) for camera in cameras),
-        tuple(np.array(camera["T_C_W"]) @ np.linalg.inv(T_1_W) for camera in cameras),
-        np.array(content["R"]),
-        np.array(content["t"]),
-        float(content["baseline_m"]),
-        Clock(
-            content["t_d_s"] if t_d_s is None else t_d_s, content["skew_ppm"], content["t_ref_s"]
-        ),
-    )
+    path = folder / "truth.json"
+    with readable(path, "the truth of a recording"):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        cameras = [content["cameras"][f"cam{k + 1}"] for k in range(len(content["cameras"]))]
+        offset_s = content["t_d_s"] if t_d_s is None else t_d_s
+        return FlightTruth(
+            np.array(content["times_s"], np.float64),
+            np.array(content["drone_position_W_m"], np.float64),
+            np.array(content["drone_quaternion_W_B_xyzw"], np.float64),
+            tuple(np.array(camera["drone_px"], np.float64) for camera in cameras),
+            tuple(np.array(camera["T_C_W"], np.float64) for camera in cameras),
+            np.array(content["R"], np.float64),
+            np.array(content["t"], np.float64),
+            float(content["baseline_m"]),
+            Clock(offset_s, content["skew_ppm"], content["t_ref_s"]),
+        )
 
 
 class Pair(NamedTuple):

@@ -65,6 +65,19 @@ def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:
     return lambda results: form.format(**results.one(table, **where))
 
 
+def quoted_of(
+    table: str, column: str, form: str, scale: float = 1.0, **where: Any
+) -> Callable[[Results], str]:
+    """Declare a number of a page: {low}, {high}, {most} and {total} of the numbers of a column."""
+
+    def text(results: Results) -> str:
+        of = scale * results.column(table, column, **where)
+        ends = {"low": np.nanmin(of), "high": np.nanmax(of), "most": np.nanmax(np.abs(of))}
+        return form.format(**ends, total=np.nansum(of))
+
+    return text
+
+
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
     """Lay rows out as Markdown: under each heading their columns, as "{runs:.0f}" shows them."""
     return markdown_table(list(columns), shown_cells(rows, columns))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -22,6 +22,8 @@ from sim.sensor.events import PRESETS
 from ssac.cli.options import Option, flag, named, number
 
 MAX_SEED = 2**32 - 1
+
+Changed = TypeVar("Changed")
 
 _IDEAL = "ideal"
 _DISTURB = "disturb."
@@ -180,11 +182,12 @@ def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbC
     values = {OPTIONS[name].field: value for name, value in options.items() if OPTIONS[name].field}
     disturb = {name: values.pop(name) for name in list(values) if name.startswith(_DISTURB)}
     of_disturb = {name.removeprefix(_DISTURB): value for name, value in disturb.items()}
-    return _changed(SimConfig(), more | values), replace(DisturbConfig(), **of_disturb)
+    return changed(SimConfig(), more | values), replace(DisturbConfig(), **of_disturb)
 
 
-def _changed(default: Any, values: Mapping[str, Any]) -> Any:
+def changed(default: Changed, values: Mapping[str, Any]) -> Changed:
     """Change fields by dotted names, all at once: a configuration checks them together."""
+    config: Any = default
     changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
     for name, value in values.items():
         head, _, rest = name.partition(".")
@@ -193,8 +196,9 @@ def _changed(default: Any, values: Mapping[str, Any]) -> Any:
         else:
             changes[head] = value
     for head, part in parts.items():
-        changes[head] = replace(changes.get(head, getattr(default, head)), **part)
-    return replace(default, **changes)
+        changes[head] = changed(changes.get(head, getattr(config, head)), part)
+    made: Changed = replace(config, **changes)
+    return made
 
 
 def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:

@@ -14,7 +14,6 @@ FILES = (
     "imperfect",
     "requirements",
     "tangency",
-    "oracle",
     "fidelity",
     "ablations",
     "spread",

@@ -45,6 +45,10 @@ class Quantity:
         """Values over the runs that are "ok" and give it."""
         return np.asarray(answered(runs)[self.column].dropna(), dtype=np.float64)
 
+    def levels(self, runs: pd.DataFrame) -> Array:
+        """Levels (n,) of runs, as of `confidence`; NaN for those that do not give it."""
+        return confidence(runs[self.column].to_numpy(np.float64), self.parameters)
+
 
 QUANTITIES = {
     "t_d": Quantity("t_d_normalised", 1, "$t_d$"),

@@ -19,7 +19,7 @@ from experiments.lab.cell import Flight, FlightCell, Measure, RunRow
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, by_group, made_of, markdown_table
+from experiments.lab.summary import answered, by_group, made_of, markdown_table, shown_cells
 from experiments.paper.esim import ANGLES_DEG, DURATIONS_S, drawn
 from sim.recording import SimConfig
 from sim.render.config import SamplingConfig
@@ -187,8 +187,8 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
         row |= {name: ok[name].mean() for name in SHARES}
         for name in DIFFERENCES:
             sizes, start = ok[name].abs(), name.removesuffix("_ms")
-            of_t_d = {name: sizes.mean(), f"{start}_se_ms": sizes.sem()}
-            row |= of_t_d | {f"{start}_max_ms": sizes.max()}
+            row |= {name: sizes.mean(), f"{start}_se_ms": sizes.sem()}
+            row[f"{start}_max_ms"] = sizes.max()
         return row
 
     return by_group(runs, ("duration_s",), row)
@@ -197,27 +197,22 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
 def page_table(results: Results) -> str:
     """Say how far events and offsets are from those of the reference, by duration [s]."""
     table = results.table("fidelity")
-    by_duration = results.rows("fidelity_runs", status="ok").groupby("duration_s")
-
-    def row(words: str, column: str, scale: float = 1.0, places: int = 0) -> list[str]:
-        return [words, *(f"{scale * mean:.{places}f}" for mean in by_duration[column].mean())]
-
-    rows = [
-        ["flights", *map(str, by_duration.size())],
-        row("event times, median [us]", "median_us"),
-        row("event times, 95th percentile [us]", "p95_us"),
-        row("spurious events [%]", "spurious", 100, 1),
-        row("missing events [%]", "missing", 100, 1),
-    ]
+    lines = {
+        "flights": "{answered}",
+        "event times, median [us]": "{median_us:.0f}",
+        "event times, 95th percentile [us]": "{p95_us:.0f}",
+        "spurious events [%]": "{spurious:.1f}",
+        "missing events [%]": "{missing:.1f}",
+    }
     for method, column in zip(METHOD_NAMES, DIFFERENCES, strict=True):
         mark = f", mark {MARKS_MS[method]:g}" if method in MARKS_MS else ""
-        start = column.removesuffix("_ms")
-        cells = [
-            f"{one[column]:.3f} ± {one[f'{start}_se_ms']:.3f} ({one[f'{start}_max_ms']:.3f})"
-            for _, one in table.iterrows()
-        ]
-        rows.append([f"t_d by `{method}`: mean difference (largest){mark} [ms]", *cells])
-    return markdown_table(["quantity", *(f"{d:g} s" for d in table["duration_s"])], rows)
+        se, most = (column.replace("_ms", f"_{name}_ms") for name in ("se", "max"))
+        heading = f"t_d by `{method}`: mean difference (largest){mark} [ms]"
+        lines[heading] = f"{{{column}:.3f}} ± {{{se}:.3f}} ({{{most}:.3f}})"
+    percent = {name: 100 * table[name] for name in ("spurious", "missing")}
+    shown = table.assign(answered=table["n_runs"] - table["failed"], **percent)
+    columns = zip(lines, *shown_cells(shown, lines), strict=True)
+    return markdown_table(["quantity", *(f"{d:g} s" for d in table["duration_s"])], list(columns))
 
 
 def renderer_faults(results: Results) -> list[str]:

@@ -22,7 +22,7 @@ from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, records, shown_table
 from experiments.paper.esim import ANGLES_DEG, method_order
-from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
+from experiments.studies.coverage import QUANTITIES, Quantity, sampling_bounds
 from experiments.worlds import spoilt
 from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell
 from sim.disturb import DisturbConfig
@@ -117,7 +117,7 @@ def imperfect_cells() -> list[KindCell]:
             sim = replace(SCENES[scene], angle_deg=angle_deg)
             flights = (flight, flight + OTHER_FLIGHT)
             kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
-            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES, KindCell)
+            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES)
     return cells
 
 
@@ -204,8 +204,7 @@ def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[s
     """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong."""
     counts, wrong = dict[str, float](), np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
-        # The level of the interval on whose border the truth lies.
-        levels = confidence(runs[quantity.column].to_numpy(np.float64), quantity.parameters)
+        levels = quantity.levels(runs)
         counts[f"{name}_given"] = int(np.isfinite(levels).sum())
         counts[f"{name}_held"] = int(np.sum(levels <= LEVEL))
         wrong |= levels > chi2.cdf(MAX_SIGMAS**2, 1)

@@ -33,8 +33,7 @@ from experiments.machine.parts import peak_memory_mb
 from experiments.scenes.simulate import ManyCameras
 from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import held
-from experiments.studies.outdoor import PlacedRow, placed_errors
-from experiments.worlds.outdoor import true_track
+from experiments.studies.outdoor import PlacedRow, placed_errors, true_track
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
 from sim.sensor.frames import FrameConfig
@@ -146,7 +145,7 @@ def camera_row(cell: CameraCell, flown: Flown) -> CameraRow:
     if camera.status != Status.OK or camera.group != 1 or answer.cameras[0].group != 1:
         return CameraRow(str(camera.status), camera.reason)
     figures = _pose_figures(answer, k, flown.truth) if k else _path_figures(answer, flown.truth)
-    return replace(CameraRow(str(camera.status)), **figures)
+    return CameraRow(str(camera.status), **figures)
 
 
 def solved(kind: str, flown: Flown) -> NetworkAnswer:
@@ -172,7 +171,7 @@ def _written(work: Path, kind: str, k: int, flown: Flown) -> Path:
 
 def _pose_figures(answer: NetworkAnswer, k: int, truth: FlightTruth) -> dict[str, Any]:
     """Compare the clock and the pose of the k-th camera."""
-    camera, built, T_k_1 = answer.cameras[k], answer.built[0], truth.poses[k]
+    camera, built, T_k_1 = answer.cameras[k], answer.built[0], truth.pose(k)
     assert camera.R is not None  # the network has it
     assert camera.t is not None
     at = int(border_offsets(built.network)[built.members.index(k)])

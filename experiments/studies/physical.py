@@ -10,7 +10,6 @@ more, but it is not the same for both polarities, and changes its sign when the 
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -37,6 +36,7 @@ from experiments.lab.summary import (
 from experiments.lab.verify import between, ordered, scored_checks
 from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
 from experiments.paper.esim import ERRORS, R_ERROR, T_D_ERROR, esim_table
+from experiments.scenes.options import changed
 from experiments.worlds import bench
 from experiments.worlds.bench import ALL, ANGLES_DEG, IMPERFECTIONS, KINDS, NONE, all_but, only
 from ssac.pipeline.registry import OURS
@@ -253,7 +253,7 @@ BUDGET = Study(
             *scored_checks("error_budget_runs")),
     config={"n_recordings": BUDGET_RECORDINGS, "first_flight": BUDGET_FIRST,
             "duration_s": BUDGET_S, "t_d_ms": BUDGET_T_D_MS, "angles_deg": ANGLES_DEG,
-            "kinds": KINDS, "methods": METHODS,
+            "kinds": list(KINDS), "methods": METHODS,
             "bench": bench.bench_of(ALL, ANGLES_DEG[0], BUDGET_S, 0)},
     command=bench.COMMAND,
 )  # fmt: skip
@@ -278,12 +278,10 @@ POLARITIES = {"both": None, "on": 1, "off": 0}  # events that are used
 
 def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
     """Give a bench whose photoreceptors are real ones, all else ideal, and whose lights differ."""
-    found = bench.ideal(LIGHT_ANGLE_DEG, LIGHT_S, setup)
-    for name in ("low-pass", "latency"):
-        found = bench.IMPERFECTIONS[name](found)
-    illuminance_lux = float(ILLUMINANCE_LUX / np.sqrt(ratio))
-    effects = replace(found.sim.effects, illuminance_lux=illuminance_lux, camera2_light=ratio)
-    return replace(found, sim=replace(found.sim, effects=effects), polarity=polarity)
+    slow = bench.spoilt(bench.ideal(LIGHT_ANGLE_DEG, LIGHT_S, setup), ("low-pass", "latency"))
+    lux = float(ILLUMINANCE_LUX / np.sqrt(ratio))
+    lights = {"sim.effects.illuminance_lux": lux, "sim.effects.camera2_light": ratio}
+    return changed(slow, {**lights, "polarity": polarity})
 
 
 def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:

@@ -23,7 +23,7 @@ from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.scored import SCORED
 from experiments.lab.study import How, Made, Runs, Study
-from experiments.lab.summary import markdown_table, shown_table
+from experiments.lab.summary import markdown_table, quoted_of, shown_table
 from experiments.lab.verify import between, one_of, ordered
 from experiments.worlds import tracks
 from experiments.worlds.tracks import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
@@ -287,11 +287,6 @@ def readouts_of(results: Results, camera: int) -> str:
     return f"{low_ms:.0f} to {high_ms:.0f} ms (1 sigma up to {std_ms:.0f} ms)"
 
 
-def moved_by_readouts(results: Results) -> str:
-    """Say how far readouts move an offset at most."""
-    return f"{np.nanmax(np.abs(results.column(PAIRS, 'by_readouts_ms'))):.0f} ms"
-
-
 def rate(results: Results, camera: int) -> str:
     """Rate of a camera's clock by that of camera 0, which counts frames at a constant rate."""
     of = {"data_set": WITH_TRUTH, "camera_1": 0, "camera_2": camera}
@@ -385,7 +380,7 @@ STUDIES = (
             "real.camera1.readouts": partial(readouts_of, camera=SHIFTED),
             "real.camera1.rate": partial(rate, camera=SHIFTED),
             "real.camera3.rate": partial(rate, camera=3),
-            "real.readouts": moved_by_readouts,
+            "real.readouts": quoted_of(PAIRS, "by_readouts_ms", "{most:.0f} ms"),
             "real.strays": strays_range,
             "table.real.pairs": pairs_table,
             "table.real.paths": paths_table,

@@ -14,7 +14,7 @@ rules were settled on bases 1, 2 and 20.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,17 +22,16 @@ import pandas as pd
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, RunRow, load_nothing
-from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import by_group, made_of, quoted
+from experiments.lab.summary import by_group, made_of, quoted, quoted_of
 from experiments.paper.esim import ANGLES_DEG
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
 from experiments.studies.imperfect import ImperfectRow, given_columns
 from experiments.worlds import open_flights
-from experiments.worlds.open_flights import CAUSES, KINDS_OF_FLIGHT, Cause, OpenCase, Scene
+from experiments.worlds.open_flights import CAUSES, KINDS, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
 from ssac.cli.options import number
 from ssac.errors import SsacError
@@ -72,32 +71,25 @@ def refusal_cells() -> list[KindCell]:
     """List every method on every kind that is made of each flight."""
     cells = []
     for index in range(N_FLIGHTS):
-        for k, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
+        for k, path in enumerate(dict.fromkeys(kind.path for kind in KINDS.values())):
             flight = FIRST_FLIGHT + KIND_STEP * k + index
             angle_deg = ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)]
-            sim = open_flights.flight_config(of_flight, angle_deg)
-            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES, KindCell)
+            sim = open_flights.flight_config(path, angle_deg)
+            kinds = [name for name, kind in KINDS.items() if kind.path == path]
+            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES)
     return cells
 
 
-def load_kinds(cells: Sequence[KindCell], cache: Cache) -> Flown:
-    """Name the flight, and the other one."""
-    first = cells[0]
-    load = partial(
-        open_flights.flight_of, open_flights.FLIGHT_OF[first.kind], first.sim, cache=cache
-    )
-    return Flown(load, first.seed, first.other_seed)
-
-
-def refusal_row(cell: KindCell, flown: Flown) -> RefusalRow:
+def refusal_row(cell: KindCell, cache: Cache) -> RefusalRow:
     """Run one method on one kind, and judge what it says."""
-
-    def make() -> tuple[OpenCase, Chain]:
-        case = open_flights.open_case(cell.kind, flown.flight, lambda: flown.other)
-        return case, Chain((case.cam1, case.cam2), case.rig, case.config)
-
-    case, chain = flown.made(cell.kind, make)
+    case, chain = _made(replace(cell, method=""), cache)
     return judged(chain.estimate(cell.method), case)
+
+
+@lru_cache(maxsize=1)  # of all methods, whose cells follow each other
+def _made(cell: KindCell, cache: Cache) -> tuple[OpenCase, Chain]:
+    case = Scene(KINDS[cell.kind], cell, cache).made()
+    return case, case.chain
 
 
 def judged(estimate: Estimate, case: OpenCase) -> RefusalRow:
@@ -147,11 +139,6 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
         }
 
     return by_group(runs, ("kind", "method"), row)
-
-
-def wrong(results: Results, method: str) -> str:
-    """Count the confident wrong answers of one method."""
-    return f"{results.column('refusal', 'confident_wrong', method=method).sum():.0f}"
 
 
 def ordinary_answered(results: Results) -> str:
@@ -250,7 +237,7 @@ def reason_cells(
     for index in range(recordings):
         flight = REASONS_FIRST_FLIGHT + BASE_STEP * base + index
         sim = open_flights.flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
-        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"], KindCell)
+        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"])
     return cells
 
 
@@ -276,7 +263,7 @@ def reason_row(cell: KindCell, cache: Cache) -> ReasonRow:
 def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
     """Run the best method, or the cause's, and judge what it says."""
     try:
-        chain = Chain((case.cam1, case.cam2), case.rig, case.config)
+        chain = case.chain
         estimate = chain.estimate(cause.method) if cause.method else chain.answer().estimate
     except SsacError as error:
         return Estimate("", "unusable", str(error)), ReasonRow("unusable", str(error))
@@ -318,18 +305,20 @@ def share(results: Results, columns: Sequence[str], of: str) -> str:
     return f"{100 * sum(row[column] for column in columns) / row[of]:.0f}"
 
 
+_WRONG = partial(quoted_of, "refusal", "confident_wrong", "{total:.0f}")
+
 STUDIES = (
     Study(
         "refusal",
         "What methods say of flights that leave offset or pose open",
         refusal_cells,
-        Measure(load_kinds, refusal_row, RefusalRow),
+        Measure(load_nothing, refusal_row, RefusalRow),
         Runs("refusal_runs.csv", ("kind", "flight", "method")),
         (made_of("refusal.csv", refusal_table, "refusal_runs"),),
         numbers={
             "refusal.recordings": lambda of: str(len(of.rows("refusal_runs", method="joint"))),
             "refusal.ordinary": ordinary_answered,
-            **{f"refusal.wrong.{m}": partial(wrong, method=m) for m in METHOD_NAMES},
+            **{f"refusal.wrong.{m}": _WRONG(method=m) for m in METHOD_NAMES},
         },
         config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},
     ),

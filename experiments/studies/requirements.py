@@ -191,8 +191,8 @@ def required_cells() -> list[RequiredCell]:
                 and (index < FEW or not required.kind.disturb.noise_hz)
             ]
             flights = (flight, flight + OTHER_FLIGHT)
-            cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,), RequiredCell)
-    return cells
+            cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,))
+    return [RequiredCell(**vars(cell)) for cell in cells]
 
 
 def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:

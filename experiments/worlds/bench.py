@@ -7,9 +7,10 @@ The flights are simulated and kept as any others. What the room adds, and the ca
 when they are loaded, so that kinds that differ in these alone share a recording.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Annotated, Any
 
 from experiments.lab.cache import Cache
@@ -17,6 +18,7 @@ from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
 from experiments.lab.scored import Row, frames_of, scored_row
+from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig
@@ -59,7 +61,6 @@ RENDER = RenderConfig(lattice=Lattice(8, 1), check=False)
 SAMPLING = SamplingConfig(max_step_px=0.5)
 
 NONE, ALL = "none", "all"
-_ONLY, _ALL_BUT = "only ", "all but "
 
 SETTLING_S = 0.1
 """First part of a recording that is left out: pixels that leak or flicker start all at once."""
@@ -83,67 +84,62 @@ class SetUp:
     polarity: int | None = None  # of the events that are used: 1 or 0; None: both
 
 
-Change = Callable[[SetUp], SetUp]
-
-
-def _sim(**changes: Any) -> Change:
-    return lambda bench: replace(bench, sim=replace(bench.sim, **changes))
-
-
-def _effects(**changes: Any) -> Change:
-    return lambda bench: _sim(effects=replace(bench.sim.effects, **changes))(bench)
-
-
-def _room(**changes: Any) -> Change:
-    return lambda bench: replace(bench, room=replace(bench.room, **changes))
-
-
-def _preset(sensor: tuple[str, ...] = (), effects: tuple[str, ...] = ()) -> Change:
+def _preset(*names: str) -> dict[str, Any]:
     """Take some of the preset's fields."""
-    pixels = {name: getattr(PRESET.sensor, name) for name in sensor}
-    more = _effects(**{name: getattr(PRESET.effects, name) for name in effects})
-    return lambda bench: more(_sim(sensor=replace(bench.sim.sensor, **pixels))(bench))
+    return {f"sim.{name}": attrgetter(name)(PRESET) for name in names}
 
 
-_FRAME_NOISE = _preset(effects=("frame_phase_spread", "frame_read_noise", "frame_full_well_e"))
-
-IMPERFECTIONS: Mapping[str, Change] = {
-    "turning": _sim(turning=True),
-    "texture": _sim(textured=True),
-    "mismatch": _preset(("threshold_mismatch",)),
+IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
+    "turning": {"sim.turning": True},
+    "texture": {"sim.textured": True},
+    "mismatch": _preset("sensor.threshold_mismatch"),
     "noise": _preset(
-        ("leak_hz", "hot_pixel_share", "hot_pixel_hz", "shot_noise_hz", "background_hz"),
-        ("dim_noise_on_hz", "dim_noise_off_hz", "dim_noise_exponent", "noise_spread_decades",
-         "leak_jitter", "hot_clusters", "hot_cluster_hz"),
+        "sensor.leak_hz", "sensor.hot_pixel_share", "sensor.hot_pixel_hz", "sensor.shot_noise_hz",
+        "sensor.background_hz", "effects.dim_noise_on_hz", "effects.dim_noise_off_hz",
+        "effects.dim_noise_exponent", "effects.noise_spread_decades", "effects.leak_jitter",
+        "effects.hot_clusters", "effects.hot_cluster_hz",
     ),
-    "low-pass": _preset(effects=("cutoff_hz_per_lux", "cutoff_min_hz", "cutoff_max_hz")),
-    "latency": _preset(effects=("latency_s", "latency_lux_s", "jitter_s", "jitter_lux_s")),
-    "readout": _preset(("refractory_s",), ("readout_hz", "readout_queue")),
-    "frame gaps": lambda bench: _FRAME_NOISE(_effects(frame_gap_s=FRAME_GAP_S)(bench)),
-    "blur": _preset(effects=("blur_px",)),
-    "flicker": _effects(flicker_depth=FLICKER_DEPTH),
-    "unequal light": _effects(camera2_light=CAMERA2_LIGHT),
-    "changing light": _room(light_std=LIGHT_STD),
-    "shadow": _room(shadow=SHADOW),
-    "wire": _room(wire_m=WIRE_M),
-    "intrinsics": lambda bench: replace(bench, is_calibrated=True),
-    "truth": lambda bench: replace(bench, is_truth_calibrated=True),
+    "low-pass": _preset(
+        "effects.cutoff_hz_per_lux", "effects.cutoff_min_hz", "effects.cutoff_max_hz"
+    ),
+    "latency": _preset(
+        "effects.latency_s", "effects.latency_lux_s", "effects.jitter_s", "effects.jitter_lux_s"
+    ),
+    "readout": _preset("sensor.refractory_s", "effects.readout_hz", "effects.readout_queue"),
+    "frame gaps": {
+        "sim.effects.frame_gap_s": FRAME_GAP_S,
+        **_preset("effects.frame_phase_spread", "effects.frame_read_noise",
+                  "effects.frame_full_well_e"),
+    },
+    "blur": _preset("effects.blur_px"),
+    "flicker": {"sim.effects.flicker_depth": FLICKER_DEPTH},
+    "unequal light": {"sim.effects.camera2_light": CAMERA2_LIGHT},
+    "changing light": {"room.light_std": LIGHT_STD},
+    "shadow": {"room.shadow": SHADOW},
+    "wire": {"room.wire_m": WIRE_M},
+    "intrinsics": {"is_calibrated": True},
+    "truth": {"is_truth_calibrated": True},
 }  # fmt: skip
-"""By name: what turns the ideal bench into one that has it."""
+"""By name: the fields of a `SetUp` that the ideal bench has otherwise."""
 
 
 def only(name: str) -> str:
     """Name the kind that has one imperfection."""
-    return f"{_ONLY}{name}"
+    return f"only {name}"
 
 
 def all_but(name: str) -> str:
     """Name the kind that has all but one."""
-    return f"{_ALL_BUT}{name}"
+    return f"all but {name}"
 
 
-KINDS = (NONE, *map(only, IMPERFECTIONS), *map(all_but, IMPERFECTIONS), ALL)
-"""Of benches: of the error budget."""
+KINDS: Mapping[str, Collection[str]] = {
+    NONE: (),
+    **{only(name): (name,) for name in IMPERFECTIONS},
+    **{all_but(name): [one for one in IMPERFECTIONS if one != name] for name in IMPERFECTIONS},
+    ALL: IMPERFECTIONS,
+}
+"""Of benches, of the error budget: the imperfections of each."""
 
 
 def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
@@ -165,18 +161,12 @@ def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
 
 def bench_of(kind: str, angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
     """Give the bench of a kind, one of KINDS."""
-    bench = ideal(angle_deg, duration_s, setup_seed)
-    for name in had_by(kind):
-        bench = IMPERFECTIONS[name](bench)
-    return bench
+    return spoilt(ideal(angle_deg, duration_s, setup_seed), KINDS[kind])
 
 
-def had_by(kind: str) -> tuple[str, ...]:
-    """List the imperfections of a kind."""
-    if kind.startswith(_ONLY):
-        return (kind.removeprefix(_ONLY),)
-    left_out = kind.removeprefix(_ALL_BUT)
-    return tuple(name for name in IMPERFECTIONS if kind != NONE and name != left_out)
+def spoilt(bench: SetUp, names: Iterable[str]) -> SetUp:
+    """Add imperfections to a bench."""
+    return changed(bench, {k: v for name in names for k, v in IMPERFECTIONS[name].items()})
 
 
 @dataclass(frozen=True)
@@ -239,33 +229,34 @@ def known_rig(bench: SetUp) -> Rig:
 
     What is not calibrated is the truth. A calibration is its set-up's: all recordings share it.
     """
-    sim, config, known = bench.sim, bench.calibration, list[Camera]()
-    rig = bench_rig(sim)
+    sim, config, rig = bench.sim, bench.calibration, bench_rig(bench.sim)
     cameras = [
         calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
         if bench.is_calibrated
         else exact(camera)
         for index, camera in enumerate(rig.cameras)
     ]
-    for camera, one in zip(rig.cameras, cameras, strict=True):
-        size, model = (camera.width, camera.height), camera.distortion_model
-        known.append(Camera(one.K, *size, model, one.distortion_coeffs, one.intrinsics_std_px))
+    cam1, cam2 = (
+        Camera(one.K, camera.width, camera.height, camera.distortion_model,
+               one.distortion_coeffs, one.intrinsics_std_px)
+        for camera, one in zip(rig.cameras, cameras, strict=True)
+    )  # fmt: skip
     T_2_1 = rig.relative_pose(0, 1)
     if bench.is_truth_calibrated:
         T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
-    return Rig(known[0], known[1], T_2_1)
+    return Rig(cam1, cam2, T_2_1)
 
 
 def _recorded(cell: PhysicalCell, pair: Pair) -> Chain:
     """Make of a recording what the bench's cameras saw."""
     bench, cameras = cell.bench, []
-    sees_room = bench.room != RoomConfig()
-    scene = bench.sim.scene(cell.seed) if sees_room else None
-    hanging = hanging_of(bench.sim, cell.seed) if sees_room else None
+    filmed = None
+    if bench.room != RoomConfig():
+        filmed = bench.sim.scene(cell.seed), hanging_of(bench.sim, cell.seed)
     for index, camera in enumerate((pair.cam1, pair.cam2)):
         events = camera.events
-        if scene and hanging:
-            added = room_events(bench.room, scene, hanging, bench.sim.sensor, cell.seed, index)
+        if filmed:
+            added = room_events(bench.room, *filmed, bench.sim.sensor, cell.seed, index)
             events = merged(events, added)
         events = events[events["t"] >= round(US_PER_S * SETTLING_S)]
         if bench.polarity is not None:

@@ -3,10 +3,9 @@
 The drone turns as in ordinary flights, but four times as fast where its path alone makes too few
 events to matter.
 
-A recording cannot be answered for one cause, which says what the drone does, how long, what spoils
-the recording and what would mend it; the angle and all that is drawn are given by the cell. Flights
-are simulated where events matter; else they are projected, as tracks of points in a camera and
-another one of other intrinsics.
+A cause says what the drone does, how long, what spoils the recording and what would mend it; the
+angle and all that is drawn are given by the cell. Flights are simulated where events matter; else
+they are projected, as tracks of points in a camera and another one of other intrinsics.
 """
 
 from collections.abc import Callable
@@ -33,6 +32,7 @@ from ssac.arrays import Array
 from ssac.camera import Camera, Rig, known_pose
 from ssac.config import Config
 from ssac.estimate import Status
+from ssac.pipeline.chain import Chain
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 
@@ -46,7 +46,6 @@ _CSV_HZ = 200.0
 _OUTSIDE_S = 3.0  # an offset that the search interval does not hold
 _SHORT_S = 0.6
 _PATH_STREAM = 7  # of the seed
-OTHER_OBJECT = "other-object"  # the kind of which camera 2 sees another flight
 _PACES = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}
 """How fast the drone turns, beside ordinary flights; of "slow" also how fast it flies."""
 
@@ -60,6 +59,11 @@ class OpenCase:
     rig: Rig  # with the true extrinsics
     config: Config
     truth: Truth  # its offset is NaN where the cameras saw different objects: any is wrong
+
+    @property
+    def chain(self) -> Chain:
+        """The case as methods take it."""
+        return Chain((self.cam1, self.cam2), self.rig, self.config)
 
 
 def _random_direction(rng: Rng) -> Array:
@@ -125,30 +129,18 @@ PATHS: dict[str, Callable[[Rng], Position]] = {
     "circle": _circle, "helix": lambda rng: _circle(rng, rise_m=2.0), "planar": _planar,
     "periodic": _periodic,
 }  # fmt: skip
-"""Kinds with a path of their own."""
-
-KINDS_OF_FLIGHT: dict[str, tuple[str, ...]] = {
-    **{path: (path,) for path in PATHS},
-    "periodic": ("periodic", "periodic-wide"),
-    "slow": ("slow",),
-    "noise-kept": ("noise-kept",),
-    "ordinary": ("ordinary", OTHER_OBJECT, "no-overlap", "small-overlap", "outside-search", "short",
-                 "few-samples"),
-}  # fmt: skip
-"""Kinds by the flight that they are made of: those of one flight differ in what methods get."""
-
-FLIGHT_OF = {kind: flight for flight, kinds in KINDS_OF_FLIGHT.items() for kind in kinds}
+"""Flights with a path of their own."""
 
 
 def flight_config(flight: str, angle_deg: float) -> SimConfig:
-    """Give the configuration of a flight of KINDS_OF_FLIGHT, but for a path of its own."""
+    """Give the configuration of a flight, but for a path of its own."""
     spline, frames = SplineConfig(DURATION_S), FrameConfig(rate_hz=0.0)
     config = SimConfig(angle_deg=angle_deg, t_d_s=T_D_S, spline=spline, frames=frames)
     return replace(config, sensor=PRESETS["davis346"]) if flight == "noise-kept" else config
 
 
 def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
-    """Load a flight of KINDS_OF_FLIGHT, of `flight_config`; the seed draws its path.
+    """Load a flight of `flight_config`; the seed draws its path.
 
     The cache keeps recordings by what is in their path's file, not by its name.
     """
@@ -166,38 +158,6 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
         return recorded_pair(cache, replace(config, trajectory_file=file), seed)
 
 
-def open_case(kind: str, recording: Pair, other: Callable[[], Pair]) -> OpenCase:
-    """Make of a recording of `flight_of` what the methods are given in a kind."""
-    cam1, cam2, rig = recording
-    t_d_s, config = T_D_S, Config(denoise=kind != "noise-kept")
-    if kind == "periodic-wide":
-        config = replace(config, interval_s=(-3.0, 3.0))
-    elif kind == OTHER_OBJECT:
-        cam2, t_d_s = other().cam2, np.nan
-    elif kind == "no-overlap":
-        cam2, t_d_s = cam2.delayed(_APART_S), t_d_s + _APART_S
-        config = replace(config, search="interval")  # else all offsets are, and the true one found
-    elif kind == "small-overlap":
-        config = replace(config, interval_s=(DURATION_S - 1.0, DURATION_S - 0.1))
-    elif kind == "outside-search":
-        cam2, t_d_s = cam2.delayed(_OUTSIDE_S), t_d_s + _OUTSIDE_S
-    elif kind == "short":
-        cam1, cam2 = _shortened(cam1), _shortened(cam2)
-    elif kind == "few-samples":
-        config = replace(config, n_samples=25)
-    return OpenCase(cam1, cam2, rig, config, Truth(t_d_s, *known_pose(rig)))
-
-
-def _shortened(camera: Observation) -> Observation:
-    """Keep the middle of a recording."""
-    middle_us = (camera.events["t"][0] + camera.events["t"][-1]) // 2
-    near = np.abs(camera.events["t"] - middle_us) < 0.5e6 * _SHORT_S
-    return Observation(camera.events[near])
-
-
-# --- Recordings that cannot be answered, each for one cause ---
-
-
 Spoil = Callable[["Scene", OpenCase, Rng], OpenCase]
 
 LONG_S = 12.0
@@ -209,10 +169,10 @@ _TRACK_STREAM, _SPOIL_STREAM, _JUMP_STREAM = 21, 22, 23  # of the seed
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a recording cannot be answered, and which refusals say so."""
+    """Why a recording cannot be answered, or leaves something open, and which refusals say so."""
 
-    named_by: tuple[Status, ...]
-    words: str  # an expression that is found in a true reason
+    named_by: tuple[Status, ...] = ()
+    words: str = ""  # an expression that is found in a true reason
     spoil: Spoil = lambda scene, case, rng: case
     path: str = ORDINARY
     duration_s: float = DURATION_S
@@ -246,11 +206,9 @@ class Scene:
         return replace(self, cause=replace(self.cause, **fields))
 
     def _filmed(self, seed: int) -> tuple[Pair, float]:
-        cause = self.cause
-        config = flight_config(cause.path, self.cell.sim.angle_deg)
-        spline = replace(config.spline, duration_s=cause.duration_s)
-        config = replace(config, spline=spline, t_d_s=T_D_S)
-        return flight_of(cause.path, config, seed, self.cache), T_D_S
+        cause, sim = self.cause, self.cell.sim
+        sim = replace(sim, spline=replace(sim.spline, duration_s=cause.duration_s))
+        return flight_of(cause.path, sim, seed, self.cache), T_D_S
 
     def _tracked(self, seed: int) -> tuple[Pair, float]:
         cause, rng = self.cause, generator(seed, _PATH_STREAM)
@@ -283,11 +241,24 @@ def cut(seen: Observation, from_s: float, to_s: float) -> Observation:
     return replace(seen, events=events, track=track)
 
 
-def _later(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
-    """Let camera 2's clock show up to a minute more."""
-    late_s = float(np.round(rng.uniform(20.0, 60.0), 3))
+def _delayed(case: OpenCase, late_s: float) -> OpenCase:
     truth = replace(case.truth, t_d_s=case.truth.t_d_s + late_s)
     return replace(case, cam2=case.cam2.delayed(late_s), truth=truth)
+
+
+def _later(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Let camera 2's clock show up to a minute more."""
+    return _delayed(case, float(np.round(rng.uniform(20.0, 60.0), 3)))
+
+
+def _shortened(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
+    """Keep the middle of each recording."""
+    kept = []
+    for one in (case.cam1, case.cam2):
+        middle_us = (one.events["t"][0] + one.events["t"][-1]) // 2
+        near = np.abs(one.events["t"] - middle_us) < 0.5e6 * _SHORT_S
+        kept.append(Observation(one.events[near]))
+    return replace(case, cam1=kept[0], cam2=kept[1])
 
 
 def _elsewhere(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
@@ -435,3 +406,24 @@ CAUSES: dict[str, Cause] = {
     "small": Cause(_OPEN_POSE, "leaves the pose open", scale=0.05),
 }  # fmt: skip
 """Why recordings cannot be answered."""
+
+
+def _open(path: str = ORDINARY, spoil: Spoil = Cause.spoil, **config: Any) -> Cause:
+    return Cause(spoil=spoil, path=path, of_events=True, config=Config(**config))
+
+
+KINDS: dict[str, Cause] = {
+    **{path: _open(path) for path in PATHS},
+    "periodic-wide": _open("periodic", interval_s=(-3.0, 3.0)),
+    "slow": _open("slow"),
+    "noise-kept": _open("noise-kept", denoise=False),
+    "ordinary": _open(),
+    "other-object": _open(spoil=_of_others),
+    # All offsets would be searched, and the true one found.
+    "no-overlap": _open(spoil=lambda _, case, rng: _delayed(case, _APART_S), search="interval"),
+    "small-overlap": _open(interval_s=(DURATION_S - 1.0, DURATION_S - 0.1)),
+    "outside-search": _open(spoil=lambda _, case, rng: _delayed(case, _OUTSIDE_S)),
+    "short": _open(spoil=_shortened),
+    "few-samples": _open(n_samples=25),
+}
+"""What leaves something open; kinds of one path are made of the same flights."""

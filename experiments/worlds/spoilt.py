@@ -8,7 +8,7 @@ and what varies from flight to flight, is drawn by the flight's seed.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from experiments.lab.cell import FlightCell
 from experiments.lab.grid import flight_seed
@@ -60,20 +60,13 @@ class KindCell(FlightCell):
         return *self.own.values(), METHODS[self.method].version
 
 
-AnyKindCell = TypeVar("AnyKindCell", bound=KindCell)
-
-
 def kind_cells(
-    sim: SimConfig,
-    flights: tuple[int, int],
-    kinds: Iterable[str],
-    methods: Sequence[str],
-    cell: type[AnyKindCell],
-) -> list[AnyKindCell]:
+    sim: SimConfig, flights: tuple[int, int], kinds: Iterable[str], methods: Sequence[str]
+) -> list[KindCell]:
     """List every method on every kind that is made of a flight; the other flight comes second."""
     seed, other = (flight_seed(sim.spline.duration_s, sim.angle_deg, one) for one in flights)
     return [
-        cell(sim, flights[0], seed, kind, other, method) for kind in kinds for method in methods
+        KindCell(sim, flights[0], seed, kind, other, method) for kind in kinds for method in methods
     ]
 
 

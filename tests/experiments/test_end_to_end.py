@@ -16,7 +16,7 @@ import pytest
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import observations, rig_of
 from experiments.lab.score import score
-from experiments.worlds.odd import drawn, recorded, truth_of
+from experiments.studies.by_hand import drawn, recorded, truth_of
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice

@@ -7,9 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.studies import by_hand
-from experiments.studies.by_hand import SETTINGS, HandRow
-from experiments.worlds import odd
-from experiments.worlds.odd import KINDS, drawn
+from experiments.studies.by_hand import KINDS, SETTINGS, HandRow, drawn
 from tests.experiments.command import run
 from tests.experiments.reported import flown
 
@@ -98,7 +96,7 @@ def test_the_table_says_what_became_of_each_recording() -> None:
 def test_the_command_tries_settings_where_the_default_is_not_right(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(odd, "recorded_pair", lambda *_: flown())
+    monkeypatch.setattr(by_hand, "recorded_pair", lambda *_: flown())
     some = {name: SETTINGS[name] for name in (by_hand.UNASKED, "--search-all", "--method joint")}
     monkeypatch.setattr(by_hand, "SETTINGS", some)
     of_one = ("--base", 1, "--first", 17, "--recordings", 1, "--workers", 1)

@@ -10,8 +10,12 @@ import pytest
 from experiments.drawing.errors import pooled
 from experiments.studies import coverage
 from experiments.studies.coverage import QUANTITIES, coverage_table
-from experiments.studies.efficiency import efficiency_table, runs_beside_bounds
-from experiments.worlds.bound import KNOWN_POSE, SAMPLES
+from experiments.studies.efficiency import (
+    KNOWN_POSE,
+    SAMPLES,
+    efficiency_table,
+    runs_beside_bounds,
+)
 from tests.experiments.reported import made_up_runs
 
 T_D_MS = 50.0

@@ -39,8 +39,8 @@ def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None
     poses = scene.trajectory.poses(times_s)
     truth = truth_of(times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]))
     centres_px = tuple(camera.project(poses[:, :3, 3]) for camera in scene.rig.cameras)
-    poses_k_1 = tuple(scene.rig.relative_pose(0, k) for k in range(network.N_CAMERAS))
-    flown = network.Flown(tmp_path, replace(truth, centres_px=centres_px, poses=poses_k_1))
+    T_C_W = tuple(camera.T_C_W for camera in scene.rig.cameras)
+    flown = network.Flown(tmp_path, replace(truth, centres_px=centres_px, T_C_W=T_C_W))
     cells = [cell for cell in network.cells(1) if cell.kind == network.TRUE_TRACKS]
     first, *others = (network.camera_row(cell, flown) for cell in cells)
     assert len(flown.found) == 1  # cells of a kind share one solution

@@ -10,7 +10,6 @@ from experiments.lab.recorded import FlightTruth
 from experiments.lab.results import Results
 from experiments.studies import outdoor
 from experiments.studies.outdoor import KINDS, OutdoorCell
-from experiments.worlds import outdoor as world
 from sim.scene.rig import Rig, two_view_rig
 from sim.scene.trajectory import random_spline
 from ssac.clock import Clock
@@ -56,7 +55,7 @@ def test_options_are_those_of_the_cells() -> None:
 
 
 DURATION_S = 60.0
-CONFIG = world.outdoor_config(DURATION_S)
+CONFIG = outdoor.outdoor_config(DURATION_S)
 
 
 def outdoor_rig() -> Rig:
@@ -73,14 +72,14 @@ def truth() -> FlightTruth:
     return FlightTruth(
         times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(),
         tuple(camera.project(poses[:, :3, 3]) for camera in rig.cameras),
-        tuple(rig.relative_pose(0, k) for k in range(2)), *rig.extrinsics(),
-        Clock(world.T_D_S, world.SKEW_PPM, DURATION_S / 2.0),
+        tuple(camera.T_C_W for camera in rig.cameras), *rig.extrinsics(),
+        Clock(outdoor.T_D_S, outdoor.SKEW_PPM, DURATION_S / 2.0),
     )  # fmt: skip
 
 
 def test_the_set_up_is_the_papers(truth: FlightTruth) -> None:
     rig = outdoor_rig()
-    assert rig.extrinsics()[2] == pytest.approx(world.BASELINE_M)
+    assert rig.extrinsics()[2] == pytest.approx(outdoor.BASELINE_M)
     for camera in rig.cameras:
         centre = np.linalg.inv(camera.T_C_W)[:3, 3]
         distances_m = np.linalg.norm(truth.positions_m - centre, axis=1)
@@ -92,18 +91,18 @@ def test_the_set_up_is_the_papers(truth: FlightTruth) -> None:
 
 
 def test_rtk_is_the_antenna_on_a_clock_of_its_own(truth: FlightTruth) -> None:
-    rtk = world.rtk_of(truth, 0)
+    rtk = outdoor.rtk_of(truth, 0)
     assert np.diff(rtk.times_s) == pytest.approx(0.2, abs=0.0051)  # to the truth's next 5 ms
     scene_s = Clock(18.4, 5.0).cam1_from_cam2(rtk.times_s)
     k = np.rint(200.0 * scene_s).astype(int)
-    arms_m = Rotation.from_quat(truth.quaternions[k]).apply(world.LEVER_ARM_M)
+    arms_m = Rotation.from_quat(truth.quaternions[k]).apply(outdoor.LEVER_ARM_M)
     noise_m = rtk.positions_m - truth.positions_m[k] - arms_m
     np.testing.assert_allclose(np.std(noise_m, axis=0), (0.01, 0.01, 0.02), rtol=0.15)  # of 300
-    assert not np.array_equal(world.rtk_of(truth, 1).positions_m, rtk.positions_m)
+    assert not np.array_equal(outdoor.rtk_of(truth, 1).positions_m, rtk.positions_m)
 
 
 def test_calibrations_err_each_by_its_own_and_are_the_same_again() -> None:
-    cameras = world.calibrated(CONFIG, 0)
+    cameras = outdoor.calibrated(CONFIG, 0)
     assert len({(one.focal_px, one.principal_point) for one in cameras}) == 3
     assert all(abs(one.focal_px / CONFIG.focal_px - 1.0) < 0.005 for one in cameras)  # 5 deviations
-    assert world.calibrated(CONFIG, 0) == cameras != world.calibrated(CONFIG, 1)
+    assert outdoor.calibrated(CONFIG, 0) == cameras != outdoor.calibrated(CONFIG, 1)

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.lab import cache as module
 from experiments.lab.cache import Cache
-from experiments.lab.recorded import Flown, Pair
+from experiments.lab.recorded import Pair
 from experiments.lab.score import Truth
 from experiments.studies import refusal
 from experiments.studies.refusal import ReasonRow, judged
@@ -28,11 +28,6 @@ PAIR = Pair(*(Observation(events) for events in make_events(FLIGHT, 0, T_D_S)), 
 def case_of(t_d_s: float = 0.05) -> OpenCase:
     cam1, cam2 = PAIR[:2]
     return OpenCase(cam1, cam2, FLIGHT.rig, Config(denoise=False), Truth(t_d_s, FLIGHT.R, T))
-
-
-def flown(seed: int) -> Pair:
-    assert seed == 2  # the other flight is asked for by one kind alone
-    return PAIR
 
 
 @pytest.mark.parametrize(
@@ -61,15 +56,16 @@ def test_a_refused_answer_is_not_confident_and_may_list_the_true_offset() -> Non
 
 
 @pytest.mark.parametrize("kind", ["ordinary", "few-samples", "short", "no-overlap"])
-def test_every_method_is_judged_on_every_kind_of_a_flight(kind):
-    shared, sim = Flown(flown, 2, 3), open_flights.flight_config("ordinary", 90.0)
+def test_every_method_is_judged_on_every_kind_of_a_flight(kind, monkeypatch):
+    made, sim = [], open_flights.flight_config("ordinary", 90.0)
+    monkeypatch.setattr(open_flights, "flight_of", lambda *of: made.append(of[2]) or PAIR)
     rows = [
-        refusal.refusal_row(KindCell(sim, 1, 2, kind, 3, method), shared)
+        refusal.refusal_row(KindCell(sim, 1, 2, kind, 3, method), Cache())
         for method in refusal.METHOD_NAMES
     ]
     if kind == "no-overlap":  # recordings a minute apart have no common time in the interval
         assert {row.status for row in rows} == {"no_common_time"}
-    shared.made(kind, lambda: pytest.fail("it was made once, for all methods"))
+    assert made == [2]  # once for all methods; the other flight is asked for by one kind alone
 
 
 @pytest.mark.render
@@ -92,9 +88,7 @@ def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
     assert other.cam1.events.size != first.cam1.events.size
 
 
-def test_every_kind_has_a_flight():
-    kinds = [kind for made in open_flights.KINDS_OF_FLIGHT.values() for kind in made]
-    assert len(kinds) == len(set(kinds)) == 17
+def test_paths_are_of_positions():
     for name, path in open_flights.PATHS.items():
         positions = path(np.random.default_rng(1))(np.linspace(0.0, 8.0, 50))
         assert positions.shape == (50, 3), name

@@ -25,11 +25,11 @@ ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
 
 def test_a_kind_has_the_imperfections_that_it_says_and_each_changes_the_bench() -> None:
     names = set(IMPERFECTIONS)
-    assert set(bench.had_by(NONE)) == set()
-    assert set(bench.had_by(ALL)) == names
+    assert set(KINDS[NONE]) == set()
+    assert set(KINDS[ALL]) == names
     for name in names:
-        assert set(bench.had_by(only(name))) == {name}
-        assert set(bench.had_by(all_but(name))) == names - {name}
+        assert set(KINDS[only(name)]) == {name}
+        assert set(KINDS[all_but(name)]) == names - {name}
     assert len(KINDS) == len({bench_of(kind, *PLACE) for kind in KINDS}) == 2 * len(names) + 2
     assert bench_of(NONE, *PLACE) == bench.ideal(*PLACE)
 

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.lab.recorded import Pair, load_pair
-from experiments.studies.efficiency import BoundCell, bound_row, load_flown
-from experiments.worlds import bound
-from experiments.worlds.bound import SAMPLES, Bound, TrueMotion, method_bound
+from experiments.lab.recorded import FlightTruth, Pair, load_pair, load_truth
+from experiments.studies import efficiency
+from experiments.studies.efficiency import (
+    SAMPLES,
+    Bound,
+    BoundCell,
+    bound_row,
+    load_flown,
+    method_bound,
+    seen,
+)
 from sim.recording import SimConfig
 from ssac.arrays import Array
 from ssac.camera import Rig
@@ -45,11 +52,11 @@ class Flight:
 
     def information(self, noise_px: float | Array = NOISE_PX) -> Array:
         of_pose = self.R, self.t, self.rig
-        return bound.fisher_information(self.p1, self.p2, self.v2, *of_pose, noise_px)
+        return efficiency.fisher_information(self.p1, self.p2, self.v2, *of_pose, noise_px)
 
     @property
     def bound(self) -> Bound:
-        return bound.cramer_rao_bound(self.information())
+        return efficiency.cramer_rao_bound(self.information())
 
 
 def fly(scene: Scene, n: int = 400) -> Flight:
@@ -87,7 +94,7 @@ def errors_with_noise(flight: Flight, noises_px: Array, pose_is_known: bool) -> 
 @pytest.mark.parametrize("pose_is_known", [False, True])
 def test_least_squares_reach_the_bound(flight, low, high, pose_is_known) -> None:
     noises_px = NOISE_PX * np.random.default_rng(1).uniform(low, high, len(flight.p1))
-    bound_of = bound.known_pose_bound if pose_is_known else bound.cramer_rao_bound
+    bound_of = efficiency.known_pose_bound if pose_is_known else efficiency.cramer_rao_bound
     least = bound_of(flight.information(noises_px))
     errors = errors_with_noise(flight, noises_px, pose_is_known)
     found = np.sqrt(np.mean(errors**2, axis=0))[: 1 if pose_is_known else 3]
@@ -111,9 +118,9 @@ def test_the_bound_follows_the_speed_and_not_the_order_of_cameras(flight: Flight
 def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
     few = replace(flight, p1=flight.p1[:5], p2=flight.p2[:5], v2=flight.v2[:5])
     assert few.bound.t_d_s == np.inf
-    assert np.isfinite(bound.known_pose_bound(few.information()).t_d_s)
+    assert np.isfinite(efficiency.known_pose_bound(few.information()).t_d_s)
     still = replace(flight, v2=0.0 * flight.v2)
-    assert bound.known_pose_bound(still.information()).t_d_s == np.inf
+    assert efficiency.known_pose_bound(still.information()).t_d_s == np.inf
 
     def circle(times_s: Array) -> Array:
         """Turned about its axis, a uniform circle is itself a moment later."""
@@ -132,32 +139,32 @@ SCENE = make_scene(seed=0, duration_s=10.0)  # of `flight_folder`, in camera 1's
 
 
 @pytest.fixture(scope="module")
-def truth(flight_folder: Path) -> TrueMotion:
-    return bound.load_truth(flight_folder)
+def pair(flight_folder: Path) -> Pair:
+    return load_pair(flight_folder)
 
 
 @pytest.fixture(scope="module")
-def pair(flight_folder: Path) -> Pair:
-    return load_pair(flight_folder)
+def truth(flight_folder: Path) -> FlightTruth:
+    return load_truth(flight_folder)
 
 
 def views_of(pair: Pair, t_d_s: float = 0.0, denoise: bool = False) -> TwoViews:
     return two_views(pair.cam1, pair.cam2.delayed(t_d_s), SCENE.rig, Config(denoise=denoise))
 
 
-def test_the_true_track_is_where_the_cameras_see_the_drone(truth: TrueMotion) -> None:
+def test_the_true_track_is_where_the_cameras_see_the_drone(truth: FlightTruth) -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     T = np.block([[turn, np.array([[3.0], [-2.0], [7.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])
-    positions_m = truth.positions_W_m @ turn.T + T[:3, 3]
-    moved_world = TrueMotion(truth.times_s, positions_m, truth.T_C_W @ np.linalg.inv(T))
+    positions_m = truth.positions_m @ turn.T + T[:3, 3]
+    moved_world = replace(truth, positions_m=positions_m, T_C_W=truth.T_C_W @ np.linalg.inv(T))
     for camera, expected in enumerate(track_pair(SCENE, TIMES_S)):
-        p_px, v_px_s = truth.seen(camera, K, TIMES_S)
+        p_px, v_px_s = seen(truth, camera, K, TIMES_S)
         # A spline through 200 positions a second of a path with 2.5 knots a second.
         np.testing.assert_allclose(p_px, expected, atol=1e-5)
-        after, before = (truth.seen(camera, K, TIMES_S + step)[0] for step in (STEP_S, -STEP_S))
+        after, before = (seen(truth, camera, K, TIMES_S + step)[0] for step in (STEP_S, -STEP_S))
         # Differences over 0.2 ms: a third derivative of 1e4 px/s^3 makes 1e-4 px/s.
         np.testing.assert_allclose(v_px_s, (after - before) / (2.0 * STEP_S), atol=1e-2)
-        for same, other in zip((p_px, v_px_s), moved_world.seen(camera, K, TIMES_S), strict=True):
+        for same, other in zip((p_px, v_px_s), seen(moved_world, camera, K, TIMES_S), strict=True):
             np.testing.assert_allclose(other, same, rtol=1e-9, atol=1e-9)
 
 
@@ -177,14 +184,14 @@ def test_the_bound_is_that_of_the_true_track_at_the_valid_times(truth, pair) -> 
     found, of_known = (method_bound(one, views, truth) for one in ("ssac", "ssac-known"))
     times_s = views.pairs_at(0.0).times_s
     p1, p2 = track_pair(SCENE, times_s)
-    _, v2 = truth.seen(1, K, times_s)
+    _, v2 = seen(truth, 1, K, times_s)
     t = SCENE.t / np.linalg.norm(SCENE.t)
-    information = bound.fisher_information(p1, p2, v2, SCENE.R, t, SCENE.rig, found.sigma_px)
-    expected = bound.cramer_rao_bound(information)
+    information = efficiency.fisher_information(p1, p2, v2, SCENE.R, t, SCENE.rig, found.sigma_px)
+    expected = efficiency.cramer_rao_bound(information)
     assert found.n_samples == len(times_s)
     assert found.bound.t_d_s == pytest.approx(expected.t_d_s)
     assert found.bound.R_rad == pytest.approx(expected.R_rad)
-    assert of_known.bound.t_d_s == pytest.approx(bound.known_pose_bound(information).t_d_s)
+    assert of_known.bound.t_d_s == pytest.approx(efficiency.known_pose_bound(information).t_d_s)
     # Means of 1000 events on a cloud with a deviation of about 5 px.
     assert found.sigma_px == pytest.approx(5.0 / np.sqrt(1000.0), rel=0.5)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.studies import oracle
-from experiments.studies.oracle import CauseCell, FilmedPair
+from experiments.studies import tangency as oracle
+from experiments.studies.tangency import CauseCell, FilmedPair
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.camera import known_pose
