@@ -25,7 +25,7 @@ from ssac.config import Config
 from ssac.errors import PluginError, SsacError
 from ssac.estimate import Estimate, Status
 from ssac.methods.method import DEFAULT as DEFAULT
-from ssac.methods.method import OF_TRACKS, PACKAGE, our_methods
+from ssac.methods.method import OF_TRACKS, our_methods
 from ssac.methods.method import Input as Input
 from ssac.methods.method import Method as Method
 from ssac.track.observation import Observation
@@ -34,6 +34,9 @@ EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Esti
 
 _STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
+
+# The folder of ours, by which keys of runs count them all, and the group of others' entry points.
+_METHODS = "ssac.methods"
 
 OURS = our_methods()
 
@@ -51,7 +54,7 @@ class Registry(Mapping[str, Method]):
     @cached_property
     def _entry_points(self) -> dict[str, list[EntryPoint]]:
         found: dict[str, list[EntryPoint]] = {name: [] for name in self._ours}
-        for entry in sorted(entry_points(group=PACKAGE), key=lambda entry: entry.name):
+        for entry in sorted(entry_points(group=_METHODS), key=lambda entry: entry.name):
             found.setdefault(entry.name, []).append(entry)
         return found
 
