@@ -122,7 +122,7 @@ POINTS_PX = np.column_stack([100.0 + 10.0 * TIMES_S, 130.0 + 5.0 * np.sin(TIMES_
 TRUTH = {
     "times_s": TIMES_S.tolist(),
     "drone_position_W_m": np.column_stack([POINTS_PX, TIMES_S]).tolist(),
-    "drone_quaternion_W_B_xyzw": [],
+    "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * len(TIMES_S),
     "cameras": {
         name: {"T_C_W": np.eye(4).tolist(), "drone_px": POINTS_PX.tolist()}
         for name in ("cam1", "cam2")

@@ -59,13 +59,21 @@ def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
     with readable(path, "the truth of a recording"):
         content = json.loads(path.read_text(encoding="utf-8"))
         cameras = [content["cameras"][f"cam{k + 1}"] for k in range(len(content["cameras"]))]
+        names = "times_s", "drone_position_W_m", "drone_quaternion_W_B_xyzw"
+        times_s, positions_m, quaternions = (np.array(content[of], np.float64) for of in names)
+        centres_px = tuple(np.array(camera["drone_px"], np.float64) for camera in cameras)
+        T_C_W = tuple(np.array(camera["T_C_W"], np.float64) for camera in cameras)
+        n = len(times_s)
+        shapes = [one.shape for one in (times_s, positions_m, quaternions, *centres_px, *T_C_W)]
+        if shapes != [(n,), (n, 3), (n, 4), *[(n, 2)] * len(cameras), *[(4, 4)] * len(cameras)]:
+            raise ValueError("its lists are not of one length, or no poses of cameras")
         offset_s = content["t_d_s"] if t_d_s is None else t_d_s
         return FlightTruth(
-            np.array(content["times_s"], np.float64),
-            np.array(content["drone_position_W_m"], np.float64),
-            np.array(content["drone_quaternion_W_B_xyzw"], np.float64),
-            tuple(np.array(camera["drone_px"], np.float64) for camera in cameras),
-            tuple(np.array(camera["T_C_W"], np.float64) for camera in cameras),
+            times_s,
+            positions_m,
+            quaternions,
+            centres_px,
+            T_C_W,
             np.array(content["R"], np.float64),
             np.array(content["t"], np.float64),
             float(content["baseline_m"]),

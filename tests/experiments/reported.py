@@ -88,12 +88,12 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
         "R": scene.R.tolist(),
         "t": (scene.t / np.linalg.norm(scene.t)).tolist(),
         "cameras": {
-            name: {"T_C_W": pose.tolist(), "drone_px": []}
+            name: {"T_C_W": pose.tolist(), "drone_px": [[None, None]] * len(times_s)}
             for name, pose in (("cam1", np.eye(4)), ("cam2", T_2_1))
         },
         "times_s": times_s.tolist(),
         "drone_position_W_m": scene.path(times_s).tolist(),
-        "drone_quaternion_W_B_xyzw": [],
+        "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * len(times_s),
         **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
     }
     (folder / "truth.json").write_text(json.dumps(truth))
