@@ -239,7 +239,9 @@ def _half_without_jump(views: TwoViews) -> tuple[float, Interval] | None:
 
 
 def _best_jump(views: TwoViews, own: PairsAt, last: ClockJump) -> tuple[ClockJump, float, bool]:
-    """Find the jump that fits best with F of one part; the other's cost, and if that is later."""
+    """Find the jump that fits best with F of one part's pairs, near the last one and at large."""
+    # Given beside are the cost of the other, shorter part, infinite where another offset rivals,
+    # and whether the longer part is the first.
     rules, (p1_px, p2_px) = views.rules.clock, own.points_px
     F = reweighted_fundamental(p1_px, p2_px)
     width_px = min(width_of(p1_px), width_of(p2_px))

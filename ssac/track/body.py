@@ -43,7 +43,12 @@ class Seen(NamedTuple):
 
     def of(self, chosen: IntArray) -> "Seen":
         """Give some of the instants."""
-        return Seen._make([*(one[chosen] for one in self[:4]), *self[4:]])
+        return self._replace(
+            shares=self.shares[chosen],
+            corners_px=self.corners_px[chosen],
+            points=self.points[chosen],
+            is_seen=self.is_seen[chosen],
+        )
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
         """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
@@ -391,7 +396,8 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give normal equations (5, 5), (5,) from `first` on; what is left of an image, and all."""
+    """Give normal equations (5, 5), (5,) of turns and moves; what is left of an image, and all."""
+    # Only those from `first` on are set. The room for work is all zero again.
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -419,8 +425,11 @@ def _normal(
                 continue
             for a in range(first, 5):
                 r[a] += by[a] * off
-                for b in range(first, 5):
+                for b in range(first, a + 1):
                     J[a, b] += by[a] * by[b]
+    for a in range(first, 5):
+        for b in range(first, a):
+            J[b, a] = J[a, b]
     return J, r, cost, whole
 
 
@@ -445,7 +454,9 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add depths, and slopes (.., 5) by turns [rad] and moves [px]; give the pixels' bounds."""
+    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place."""
+    # Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. What is
+    # given are the first and past the last rows and columns of pixels.
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]

@@ -355,7 +355,8 @@ def _sums_in_bins(
     rates: Array,
     background: Array,
 ) -> Array:
-    """Give (n, 5): events counted, around; sums of the object's shares, and of these by x and y."""
+    """Give (n, 5): events counted, events around; sums of weights, and of weighted x and y."""
+    # An event's weight is the share of the object in all that is there.
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path
     half_px, counted, inside, around = limits

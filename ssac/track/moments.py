@@ -146,7 +146,8 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose of k tensors at m times those like the shape and the ones before; and their cost."""
+    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming; its cost."""
+    # Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before.
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)
     costs, before = np.zeros(k), np.zeros(k)

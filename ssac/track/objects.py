@@ -147,7 +147,10 @@ def _blobs(
 def _labelled(
     events: Events, bounds: IntArray, cells: _Cells, full: int
 ) -> tuple[Labels, IntArray, Mask, IntArray]:
-    """Label events' clusters of full cells, -1 of none; their bins; if beside still; times full."""
+    """Label connected clusters of cells with events, bin by bin of time, but for still cells."""
+    # So many events of a cell hold it together with its neighbours: it is full. Given are the
+    # cluster of each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether
+    # it touches a still cell (k,); and in how many bins each cell (rows, columns) is full.
     still, beside = cells.still, np.ones((3, 3), np.bool_)
     at_still = binary_dilation(still, beside)
     cell_of_event = (events["y"] // cells.size_px) * np.intp(still.shape[1])

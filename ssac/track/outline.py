@@ -57,7 +57,7 @@ def near_outline(
     """
     course = _Course.of(motion, pencil, times_s, config)
     blocks = _Blocks.of(motion.times_us, times_s, config)
-    sums_px = motion.position_sums_px  # the positions of all events would take a third as much
+    sums_px = motion.position_sums_px  # the positions of all events would take as much again
     values = blocks.angles(sums_px, course.angles_rad, pencil)
     kept = []
     for side in (1.0, -1.0):

@@ -157,8 +157,9 @@ def _with_covered(
     counted: Counted, start_px: Array, reach_px: float, min_share: float
 ) -> Counted | None:
     """Put first the events by which the object would have covered what it covers at the start."""
-    # As many as a pixel gets lighter by, of an object that is darker than what it passes, or darker
-    # by, of a light one. None of one that is both: its pixels are in doubt everywhere.
+    # They are as many as a pixel gets lighter by, of an object that is darker than what it passes,
+    # or darker by, of a light one. None unless that share of these pixels is where the object
+    # starts (2,), within reach of it: one that is both is in doubt everywhere.
     ((times_us, x, y), shape, samples), polarities = counted
     levels, has_left, least, most = _levels_since_start(*counted)
     is_dark = np.count_nonzero(least < -1) < np.count_nonzero(most > 1)
@@ -181,7 +182,8 @@ def _with_covered(
 def _levels_since_start(
     seen: Seen, polarities: NDArray[np.uint8]
 ) -> tuple[Counts, Mask, Counts, Counts]:
-    """Count up events, darker up, until a pixel leaves the box: level, if it left, least, most."""
+    """Count up each pixel's events, darker up, until it leaves the box for the first time."""
+    # Given are the levels then, whether it did leave, and the least and largest ones before.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     n = len(samples_us)
     inside = np.zeros(shape, np.int32)  # the last sample with it in the box, since the start
@@ -231,8 +233,10 @@ def _boxes(
 
 @numba.njit(cache=True)
 def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, int, int]:
-    """Link events, levels positive where darker; how often pixels came to rest, and came back."""
-    # At rest it is 1 after darkness, -1 after light: up to a threshold short of being back.
+    """Give each event's level, positive where darker, and the events before and after it."""
+    # The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short
+    # of being back. Given beside is how often a pixel came to rest, and how often it did so within
+    # a threshold of where it had been.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.float32)
@@ -287,8 +291,10 @@ def _evened(
     links: tuple[Links, Links],
     back_shares: tuple[float, float],
 ) -> tuple[Levels, int, int]:
-    """Levels (m,) that come back to where they left from; how often one left, and came back."""
-    # A lone step is noise, and so is what never comes back but at the recording's end.
+    """Give the events' levels (m,), each pixel's of which come back to where they left from."""
+    # A lone step is noise, and so is what never comes back but in the last `open_us` of the
+    # recording. Given beside is how often more than that was left, and how often it came back by
+    # itself, as `_excursion` tells.
     before, after = links
     left, came_back = 0, 0
     levels = np.zeros(len(times_us), np.float32)
@@ -325,9 +331,10 @@ def _excursion(
     after: Links,
     back_shares: tuple[float, float],
 ) -> tuple[int, int, int, int, bool]:
-    """Follow a level until it is back: last event, peak, steps to dark and light, if it is."""
+    """Follow a pixel's level from an event on until it is back."""
     # It is back where nothing follows for long and little is left, the first share of the peak; or
-    # the second, if it was on its way and what follows leads away again.
+    # the second, if it was on its way and what follows leads away again. Given are the last event,
+    # the peak, the steps that made it darker and lighter, and whether it is back.
     darker, lighter, peak = 0, 0, 0
     e = first
     while True:
@@ -358,10 +365,12 @@ def _image_sums(
     corners: IntArray,
     images: NDArray[np.float32],
 ) -> Array:
-    """Write images (n, w, w) with first pixels at corners (n, 2), and sum them up (n, 8)."""
+    """Sum up the images of the object at n samples, by what `_linked_levels` gave: (n, 8)."""
     # Area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many pixels of
-    # the box were never seen bare, and how many covered ones are on the border. In a ramp [us] an
-    # edge changes a level by one; a share is told by the level of a covered pixel and its contrast.
+    # the box were never seen bare, and how many covered ones are on the border. In a ramp (n,) [us]
+    # an edge changes a level by one. The share is told by the level of a pixel covered all over,
+    # and its log contrast. Corners (n, 2) are column and row of each image's first pixel; images
+    # (n, w, w) are written in place.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
     m, n = len(times_us), len(samples_us)
