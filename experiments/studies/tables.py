@@ -174,6 +174,16 @@ def largest(results: Results, symbol: str) -> str:
     return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
 
 
+def share_of_papers(results: Results, symbol: str) -> str:
+    """Say what part of mean errors of the paper's SSAC `tangency` has, and at most in a cell."""
+    cell = ["duration_s", "angle_deg", "t_d_ms"]
+    rows = results.rows("comparison", quantity=PUBLISHED[f"ssac.{symbol}"])
+    papers = rows.set_index(cell)["published_mean"]
+    runs = answered(results.rows("runs", method="tangency"))
+    ours = runs.groupby(cell)[SYMBOLS[symbol].column].mean()
+    return f"{ours.mean() / papers.mean():.2f} (at most {(ours / papers).max():.2f})"
+
+
 def tables_answered(results: Results) -> str:
     """Say how many runs of the tables gave an estimate."""
     runs = results.table("runs")
@@ -208,6 +218,7 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
     "tables.runs": tables_answered,
     **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
     **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
+    **{f"paper.share.{s}": partial(share_of_papers, symbol=s) for s in SYMBOLS},
     "table.methods": methods_table,
 }
 
