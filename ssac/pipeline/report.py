@@ -237,7 +237,8 @@ def counts_of(answer: Answer) -> str:
     """Say what the estimate's `n_samples` are, in the words of its method."""
     if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
         return "pairs"
-    return Method.counts if answer.of_start else answer.method.counts
+    counts = Method.counts if answer.of_start else answer.method.counts
+    return counts.partition(",")[0] if answer.estimate.without_body else counts
 
 
 def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:

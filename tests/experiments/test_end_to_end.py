@@ -23,7 +23,7 @@ from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS, SensorConfig
 from sim.sensor.frames import FrameConfig
-from ssac import joint, joint_known, ssac, ssac_known, tangency
+from ssac import joint, joint_known, ssac, ssac_known, sync, tangency
 from ssac.config import Config
 from ssac.pipeline.api import usable_events
 from ssac.track.observation import Observation
@@ -105,7 +105,9 @@ def test_a_large_object_starts_from_its_silhouettes(tmp_path):
     cell = drawn(300, 901)  # 74 px wide, for 3.4 s: the mean of its events is off by pixels
     pair = recorded(cell, Cache(tmp_path))
     truth = truth_of(cell, pair)
-    found = tangency(pair.cam1, pair.cam2, pair.rig)
+    result = sync(pair.cam1, pair.cam2, pair.rig)
+    found = result.estimate
     assert_close(found, truth, truth.t_d_of(found))
     assert found.start.status == "degenerate_pose"
     assert "so large" in found.without_body
+    assert f"{found.n_samples} pairs of tangents to the outline used" in result.summary()
