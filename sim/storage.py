@@ -111,9 +111,14 @@ class CameraFiles:
             save_events_text(self.camera, self._events, self._text_path)
         chunks = {"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),), **_EVENT_CODEC}
         for name in ("t", "x", "y", "p"):
-            blocks = [np.empty(0, EVENT_DTYPE[name]), *(block[name] for block in self._events)]
-            stored = chunks if self.n_events else {}
-            self.file.create_dataset(f"events/{name}", data=np.concatenate(blocks), **stored)
+            about = {"shape": (self.n_events,), "dtype": EVENT_DTYPE[name]}
+            column = self.file.create_dataset(
+                f"events/{name}", **about, **(chunks if self.n_events else {})
+            )
+            start = 0
+            for block in self._events:  # not all at once, which would take as much memory again
+                column[start : start + len(block)] = block[name]
+                start += len(block)
         self.file.close()
 
 

@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # heavy, and `ssac simulate` needs none of them
+    import pandas as pd
     from matplotlib.figure import Figure
 
 PROVENANCE = ".provenance.json"
@@ -50,7 +49,7 @@ class Results:
 
     folder: Path
     _texts: dict[str, str] = field(default_factory=dict, repr=False)
-    _tables: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
+    _tables: "dict[str, pd.DataFrame]" = field(default_factory=dict, repr=False)
 
     def text(self, file: str) -> str:
         """Read a file; SsacError when it cannot be read."""
@@ -64,13 +63,13 @@ class Results:
                 raise SsacError(f"{path} cannot be read: {error}") from error
         return self._texts[file]
 
-    def table(self, name: str) -> pd.DataFrame:
+    def table(self, name: str) -> "pd.DataFrame":
         """Read `<name>.csv`; an empty cell is NaN."""
         if name not in self._tables:
             self._tables[name] = read_table(self.text(f"{name}.csv"))
         return self._tables[name]
 
-    def rows(self, name: str, /, **where: Any) -> pd.DataFrame:
+    def rows(self, name: str, /, **where: Any) -> "pd.DataFrame":
         """Return rows of a table."""
         rows = self.table(name)
         for column, value in where.items():
@@ -115,7 +114,7 @@ class Results:
         return rows[column]
 
 
-def csv_text(table: pd.DataFrame, digits: int = DIGITS) -> str:
+def csv_text(table: "pd.DataFrame", digits: int = DIGITS) -> str:
     """Write a table as the project's CSV: an empty cell where unknown, lists as JSON."""
     lists = {
         name: table[name].map(json.dumps)
@@ -127,8 +126,10 @@ def csv_text(table: pd.DataFrame, digits: int = DIGITS) -> str:
     return written.to_csv(index=False, float_format=f"%.{digits}g", lineterminator="\n")
 
 
-def read_table(text: str) -> pd.DataFrame:
+def read_table(text: str) -> "pd.DataFrame":
     """Read a table as `csv_text` wrote it; an empty cell is unknown."""
+    import pandas as pd
+
     return pd.read_csv(
         io.StringIO(text), keep_default_na=False, na_values=[""], float_precision="round_trip"
     )

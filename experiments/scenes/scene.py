@@ -7,7 +7,6 @@ import numpy as np
 import typer
 
 from experiments.lab.recorded import observations, rig_of
-from experiments.lab.summary import markdown_table
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
@@ -101,6 +100,8 @@ def scene_command(
 
 def scene_table(figures: SceneFigures) -> str:
     """Lay the figures out beside those of the authors' sample, as a Markdown table."""
+    from experiments.lab.summary import markdown_table
+
     rows = [(name, theirs, ours.format_map(vars(figures))) for name, theirs, ours in SHOWN]
     return markdown_table(("quantity", "authors' sample", "ours"), rows)
 
