@@ -1,4 +1,4 @@
-"""The types of arrays that functions take and give; docstrings say the shapes."""
+"""The types of arrays that functions take and return; docstrings give the shapes."""
 
 import numpy as np
 from numpy.typing import NDArray

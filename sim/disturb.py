@@ -1,7 +1,7 @@
-"""Clutter and wrong intrinsics, which spoil real recordings and which this adds to simulated ones.
+"""Adds to simulated recordings what spoils real ones: clutter and wrong intrinsics.
 
-Clutter is drawn in the image, for each camera by itself: no two views of it show one thing. Only a
-second object is the same for both. Neither clutter nor drone hides the other.
+Clutter is drawn in each camera's image independently, so it has no correspondences between views;
+only a second object is seen by both cameras. Clutter and drone do not occlude each other.
 """
 
 from collections.abc import Callable
@@ -26,17 +26,17 @@ from sim.storage import Recorded, check_out_dir, save_recording
 
 @dataclass(frozen=True)
 class DisturbConfig:
-    """How a recording is spoilt: the same things in both cameras, drawn for each by itself."""
+    """How a recording is spoilt: alike in both cameras, but drawn for each independently."""
 
     lamp_px: int = 0  # side of the square of pixels that a lamp makes flicker
     hot_clusters: int = 0  # of 3 x 3 pixels each
     noise_hz: float = 0.0  # rate of noise events of each pixel
-    branches: int = 0  # events of branches that sway, of each camera
-    people: int = 0  # who walk through the view
-    clouds_px_s: float = 0.0  # by which clouds drift over the sky
-    second_object: float = 0.0  # share that is kept of the events of another flight
+    branches: int = 0  # number of events of swaying branches, in each camera
+    people: int = 0  # number of people who walk through the view
+    clouds_px_s: float = 0.0  # speed at which clouds drift over the sky
+    second_object: float = 0.0  # share of the events of another flight that is added
     intrinsics_error: tuple[float, float] = (0.0, 0.0)
-    """Deviations of the draws by which the rig is wrong: focal lengths [%], centre [px]."""
+    """Standard deviations of the rig's errors: focal lengths [%], principal point [px]."""
 
     def __post_init__(self) -> None:
         amounts = ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s")
@@ -53,7 +53,7 @@ class DisturbConfig:
             )
 
 
-MAX_FOCAL_PERCENT = 10.0  # of which ten deviations are a focal length
+MAX_FOCAL_PERCENT = 10.0  # ten such deviations are a whole focal length
 LAMP_HZ = 100.0  # mains of 50 Hz: bright at both crests
 LAMP_STEPS = 2  # thresholds that its light passes on the way up, and again on the way down
 LAMP_JITTER_S = 1e-4
@@ -62,7 +62,7 @@ CLUSTER_HZ = 200.0  # median rate of a hot cluster's pixels
 
 @dataclass(frozen=True)
 class View:
-    """What clutter fills."""
+    """The image and the time span that clutter fills."""
 
     width: int  # [px]
     height: int  # [px]
@@ -71,7 +71,7 @@ class View:
     def events(
         self, times_s: FloatArray, x_px: ArrayLike, y_px: ArrayLike, brighter: ArrayLike
     ) -> NDArray[Any]:
-        """Make events of times and places, of one shape, without those outside of either."""
+        """Make events of times and pixels, which broadcast; drop those outside view or duration."""
         t_us, x, y, p = np.broadcast_arrays(
             np.floor(1e6 * times_s), np.rint(x_px), np.rint(y_px), brighter
         )
@@ -84,7 +84,7 @@ class View:
 
 
 def lamp(view: View, size_px: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Let a square of pixels flicker at 100 Hz all along; it must fit into the view."""
+    """Let a square of pixels flicker at 100 Hz throughout; SimError if it does not fit the view."""
     x0, y0 = _corner(view, size_px, "a lamp", rng)
     starts_s = np.arange(np.ceil(LAMP_HZ * view.duration_s)) / LAMP_HZ
     # Up in the first half of a cycle and down in the second.
@@ -134,17 +134,17 @@ def _corner(view: View, size_px: int, what: str, rng: np.random.Generator) -> tu
 N_BRANCHES = 12
 BRANCH_RADIUS_PX = (4.0, 12.0)
 SWAY_PX, SWAY_HZ = (2.0, 8.0), (0.3, 1.2)
-_STEP_S = 1e-3  # of the course of a branch
+_STEP_S = 1e-3  # step at which a branch's speed is sampled
 
-HEIGHT_SHARE = (0.15, 0.3)  # of a person, of the view's height
-WIDTH_SHARE = 0.3  # of a person's height
+HEIGHT_SHARE = (0.15, 0.3)  # a person's height over the view's
+WIDTH_SHARE = 0.3  # a person's width over the height
 WALK_PX_S = (10.0, 30.0)
 EVENTS_PER_PX = 2.0  # thresholds that a person's edge passes in each pixel
-_EDGE_PX = 1.0  # deviation of events from the edge
+_EDGE_PX = 1.0  # standard deviation of events from the edge
 
 
 def branches(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Let clumps of leaves sway about fixed places, and fire as fast as they move."""
+    """Let clumps of leaves sway about fixed places, at event rates proportional to their speed."""
     shares = rng.multinomial(n_events, np.full(N_BRANCHES, 1.0 / N_BRANCHES))
     return np.concatenate([_branch(view, int(n), rng) for n in shares])
 
@@ -173,7 +173,7 @@ def _branch(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]
 
 
 def _walk(view: View, rng: np.random.Generator) -> NDArray[Any]:
-    """One person: a dark upright box, whose leading edge darkens what the trailing one frees."""
+    """Draw one person: a dark upright box, OFF events at its leading edge, ON at its trailing."""
     height_px = view.height * rng.uniform(*HEIGHT_SHARE)
     width_px = WIDTH_SHARE * height_px
     feet_px = rng.uniform(height_px, view.height)
@@ -190,10 +190,10 @@ def _walk(view: View, rng: np.random.Generator) -> NDArray[Any]:
 
 
 SKY_LUMINANCE, CLOUD_LUMINANCE = 0.4, 0.85  # the blue and the brightest white, as in nature
-SPOTS_PX = 150.0  # of the largest clouds; smaller ones are fainter, as of turbulence
-_POWER = -11.0 / 6.0  # of amplitudes over wave numbers, in two dimensions (Kolmogorov)
-_COVER_STD = 0.7  # of the field, from clear to white: edges are some 10 px wide, billows softer
-_STEP_PX = 0.5  # from frame to frame; linear in between
+SPOTS_PX = 150.0  # size of the largest clouds; smaller ones are fainter, as in turbulence
+_POWER = -11.0 / 6.0  # exponent of amplitudes over wave numbers, in two dimensions (Kolmogorov)
+_COVER_STD = 0.7  # deviations from mean to clear or white: edges some 10 px wide, billows softer
+_STEP_PX = 0.5  # drift from frame to frame; linear in between
 _BATCH = 16  # frames in memory
 
 
@@ -214,7 +214,7 @@ def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[A
 
 
 def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
-    """Draw luminance on a torus that the view fits into, (side, side) [px]."""
+    """Draw the luminance (side, side) of a sky, periodic both ways and larger than the view."""
     side = 2 ** int(np.ceil(np.log2(2 * max(view.width, view.height))))
     waves = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     amplitudes = np.hypot(waves, 1.0 / SPOTS_PX) ** _POWER
@@ -228,7 +228,7 @@ def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
 
 
 def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array:
-    """Cut views (n, height, width) out of the torus, at corners (n, 2) between its pixels."""
+    """Cut views (n, height, width) out of the periodic sky at subpixel corners (n, 2) [px]."""
     images = np.empty((len(corners_px), view.height, view.width), np.float32)
     for image, corner in zip(images, corners_px, strict=True):
         whole = np.floor(corner).astype(np.int64)
@@ -248,15 +248,15 @@ _SECOND, _INTRINSICS, *_CLUTTER = range(8)
 
 
 def second_seed(seed: int) -> int:
-    """Seed of the flight of the second object in a recording with a seed."""
+    """Return the seed of the second object's flight, of a recording with this seed."""
     branch = np.random.SeedSequence(seed, spawn_key=(_STREAM, _SECOND))
     return int(branch.generate_state(1)[0])
 
 
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
-    """Draw all that fires in a view beside the drone, but for a second object.
+    """Draw the events of all clutter in one camera's view, except those of a second object.
 
-    The events are in order of time, on the scene's clock; each camera, by its index, has its own.
+    They are in order of time, on the scene's clock. The camera's index selects its random numbers.
     """
     kinds: tuple[tuple[Callable[..., NDArray[Any]], float], ...] = (
         (lamp, config.lamp_px),
@@ -281,7 +281,7 @@ def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArr
 
 
 def merged(*streams: NDArray[Any]) -> NDArray[Any]:
-    """Sort streams of events into one; of events at a time, those of the first come first."""
+    """Merge streams of events in order of time; at equal times, earlier streams come first."""
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *streams])
     order = np.argsort(events["t"], kind="stable")
     return np.take(events, order)
@@ -290,7 +290,7 @@ def merged(*streams: NDArray[Any]) -> NDArray[Any]:
 def wrong_intrinsics(
     K: FloatArray, config: DisturbConfig, seed: int, camera: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw K (3, 3) [px] as a calibration of stated deviations (4,) of fu, fv, pu, pv gives it."""
+    """Draw an erroneous K (3, 3) [px]; return it and the deviations (4,) of fu, fv, pu, pv [px]."""
     percent, centre_px = config.intrinsics_error
     focal = 0.01 * percent
     deviations_px = np.array([focal * K[0, 0], focal * K[1, 1], centre_px, centre_px])
@@ -311,8 +311,8 @@ def record_disturbed(
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 
-    truth.json has the disturbances and the true intrinsics within its provenance. SimError as of
-    `record`, when a disturbance does not fit, or when a second object's trajectory is a file's.
+    truth.json has the disturbances and the true intrinsics within its provenance. SimError as for
+    `record`, when a disturbance does not fit, or for a second object with a trajectory file.
     """
     check_out_dir(out_dir)
     if disturb.second_object and config.trajectory_file is not None:
@@ -342,9 +342,9 @@ def record_disturbed(
 def disturbed(
     recording: Recording, disturb: DisturbConfig, seed: int, second: Recording | None = None
 ) -> Recording:
-    """Add clutter to what the cameras recorded; frames, rig and truth stay.
+    """Add clutter to the cameras' events; frames, rig and truth stay.
 
-    `second` is another flight of the same configuration, of whose events a share is added.
+    `second` is another flight of the same configuration; a share of its events is added.
     """
     truth = recording.truth
     cameras = []

@@ -1,4 +1,4 @@
-"""The root of the errors that `sim` raises on purpose, and the check of numbers in its configs."""
+"""The base class of the errors that `sim` raises on purpose, and the check of config numbers."""
 
 import math
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ class SimError(ValueError):
 def check_numbers(
     config: Any, of: str, positive: Iterable[str] = (), or_zero: Iterable[str] = ()
 ) -> None:
-    """Raise SimError when one of the named fields of a config is no such finite number."""
+    """Raise SimError unless fields of a config are finite and positive (or 0, if in `or_zero`)."""
     for name in positive:
         if not 0.0 < getattr(config, name) < math.inf:
             raise SimError(f"{of}{name} must be a positive number, got {getattr(config, name)}")

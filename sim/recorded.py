@@ -1,7 +1,7 @@
 """What a recording holds: the cameras' events and frames, their clocks, and the truth.
 
 Camera 1's clock is the scene's. Camera 2's shows t + t_d + skew (t - t_ref), with t_ref the middle
-of the recording, and the size of a jump more from some time on.
+of the recording, plus the size of a clock jump from the time of the jump on.
 """
 
 from collections.abc import Callable
@@ -22,21 +22,21 @@ from sim.sensor.frames import Frames
 MAX_SKEW_PPM = 100_000.0  # either way: a tenth, far beyond any oscillator
 
 Jump = tuple[float, float]
-"""When a clock jumps [s, of the scene], and by how much [s]."""
+"""The time at which a clock jumps [s, scene clock], and the size of the jump [s]."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How camera 2's clock strays from a constant offset; the default does not."""
+    """How camera 2's clock strays from a constant offset; by default it does not."""
 
-    skew_ppm: float = 0.0  # by which it runs fast
-    t_ref_s: float = 0.0  # where the skew adds nothing
+    skew_ppm: float = 0.0  # by which the clock runs fast
+    t_ref_s: float = 0.0  # scene time at which the skew adds nothing
     jump: Jump | None = None
 
     def added_us(self, times_us: IntArray) -> IntArray:
-        """Return what the clock shows more (n,) [us] at times (n,) [us] of the scene.
+        """Return what skew and jump add to the clock (n,) [us] at scene times (n,) [us].
 
-        Rounded without the offset, so that recordings that differ in it alone differ by one number.
+        It is rounded without t_d: recordings that differ in t_d alone differ by a constant.
         """
         since_us = times_us - 1e6 * self.t_ref_s
         added_us: IntArray = np.rint(1e-6 * self.skew_ppm * since_us).astype(np.int64)
@@ -47,7 +47,7 @@ class Drift:
 
 
 def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
-    """Check what a clock is to do during a recording; SimError when it cannot be."""
+    """Return the drift of camera 2's clock; SimError when the skew or the jump is out of range."""
     if not abs(skew_ppm) <= MAX_SKEW_PPM:
         raise SimError(
             f"clock skew: expected -{MAX_SKEW_PPM:g} to {MAX_SKEW_PPM:g} ppm, got {skew_ppm:g}"
@@ -78,7 +78,7 @@ class CameraRecording:
 
 @dataclass(frozen=True)
 class Truth:
-    """What an estimator is to find, and what it is scored against."""
+    """The ground truth: what an estimator is to find, and what it is scored against."""
 
     t_d_s: float  # t_cam2 = t_cam1 + t_d
     R: FloatArray  # (3, 3), x2 = R x1 + t
@@ -92,13 +92,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class Flight:
-    """All of a recording but what its cameras recorded."""
+    """A recording without the cameras' events and frames."""
 
     rig: Rig
     truth: Truth
-    n_instants: int  # chosen, over all cameras
+    n_instants: int  # chosen for sampling, summed over the cameras
     gl: GLContext | None  # None: nothing was drawn with OpenGL
-    check: RenderCheck  # of the native renderer against it
+    check: RenderCheck  # of the native renderer against OpenGL
 
 
 @dataclass(frozen=True)
@@ -109,16 +109,16 @@ class Recording(Flight):
 
 
 class Sink(Protocol):
-    """Takes what one camera records, as it records it, on the camera's clock."""
+    """Takes one camera's frames and events as they are recorded, on the camera's clock."""
 
     def take_frame(self, k: int, image: NDArray[np.uint8], /) -> None:
-        """Take frame k when its exposure closes; the array changes afterwards."""
+        """Take frame k when its exposure closes; the caller reuses the array afterwards."""
 
     def add(self, events: NDArray[Any], /) -> None:
-        """Take the next events, of EVENT_DTYPE, all in order of time."""
+        """Take the next events, of EVENT_DTYPE; all calls together are in order of time."""
 
     def close(self) -> None:
-        """Know that the camera has recorded all."""
+        """Finish: the camera records nothing more."""
 
 
 OpenSink = Callable[[Camera, IntArray, float], Sink]
@@ -129,7 +129,7 @@ TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interp
 
 
 def truth_of(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Truth:
-    """Say what an estimator is to find in a flight before a rig."""
+    """Return the ground truth of a flight that a rig films."""
     R, t, baseline_m = rig.extrinsics()
     n = max(2, int(np.ceil(trajectory.duration_s * TRUTH_HZ)) + 1)
     times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n, dtype=np.float64)

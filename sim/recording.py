@@ -68,7 +68,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class SimConfig:
-    """Everything that a recording depends on, but for its seed.
+    """Everything that a recording depends on, except its seed.
 
     A set-up of another kind is a subclass with a `scene` of its own.
     """
@@ -76,7 +76,7 @@ class SimConfig:
     angle_deg: float = 90.0  # between the two lines of sight, 0 to 180 exclusive
     t_d_s: float = 0.0  # t_cam2 = t_cam1 + t_d
     skew_ppm: float = 0.0  # by which camera 2's clock runs fast; t_d then holds in mid-recording
-    clock_jump: Jump | None = None  # of camera 2's clock: when, and by how much more it shows [s]
+    clock_jump: Jump | None = None  # of camera 2's clock: scene time and size [s]
     spline: SplineConfig = field(default_factory=SplineConfig)
     trajectory_file: Path | None = None  # CSV, instead of a random spline
     drone: str = "quadrotor"  # one of sim.scene.flyers.DRONES
@@ -133,7 +133,7 @@ def two_view_rig_of(config: SimConfig) -> Rig:
 
 
 class _InMemory:
-    """A sink that keeps all."""
+    """A sink that keeps all frames and events in memory."""
 
     def __init__(self, camera: Camera, times_us: IntArray, exposure_s: float) -> None:
         self.camera = camera
@@ -158,8 +158,8 @@ def simulate(
 
     The seed, 0 or positive, is the only source of randomness. The offset does not enter into it:
     recordings that differ in `t_d_s` alone differ in camera 2's timestamps alone. `progress` is
-    called now and then with the share of the work done, 0 to 1. SimError for input that makes no
-    sense, or without GL.
+    called now and then with the share of the work done, 0 to 1. SimError for invalid input, or
+    when OpenGL is needed and not available.
     """
     sinks: list[_InMemory] = []
 
@@ -178,10 +178,10 @@ def stream(
     open_sink: OpenSink,
     progress: Callable[[float], None] | None = None,
 ) -> Flight:
-    """Simulate one flight as `simulate` does, and hand on what each camera records meanwhile.
+    """Simulate one flight as `simulate` does, and pass frames and events to sinks as they are made.
 
-    Cameras record one after the other; the sink of each is opened before. Memory grows by some
-    numbers per instant, and with a sensor whose pixels act by themselves by its events too.
+    Cameras record one after the other, each into a sink opened for it. Memory grows by some numbers
+    per instant; a sensor with temporal noise or effects also holds a camera's events to the end.
     """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
@@ -213,7 +213,7 @@ def _record(
     open_sink: OpenSink,
     report: Callable[[float], None],
 ) -> int:
-    """Render, sense and expose one camera's view, batch by batch; returns how many instants."""
+    """Render, sense and expose one camera's view in batches; returns the number of instants."""
     camera, sharp = scene.rig.cameras[index], scene.backgrounds[index]
     instants_s = choose_instants(scene.drone, camera, scene.trajectory, config.sampling)
     start_s, end_s = float(instants_s[0]), float(instants_s[-1])

@@ -1,14 +1,14 @@
-"""The folder of a recording, which is there whole or not at all.
+"""Writes a recording as a folder, which appears whole or not at all.
 
 cam1.h5, cam2.h5     events/t, x, y, p; frames/t, frames/images; attributes width, height
 rig.yaml             Kalibr camchain without extrinsics
 rig_extrinsics.yaml  the same with the true extrinsics, for methods that are given them
 truth.json           offset, pose, trajectory, and what the recording was made with
 
-`record` simulates and writes each frame when its exposure closes; `save_recording` writes what was
-simulated before. Both give the same bytes. Until it is whole, a folder has another name beside its
-own, .NAME.HOST.PROCESS.RANDOM.partial, which no process of any host gives twice, so that one who
-tidies up can tell what a killed process left from what another is still writing.
+`record` simulates and writes each frame when its exposure closes; `save_recording` writes a
+recording that is in memory. Both give the same bytes. Until it is whole, the folder is named
+.NAME.HOST.PROCESS.RANDOM.partial in the nearest parent that exists. No process of any host gives a
+name twice, so that a clean-up can tell what a killed process left from what another still writes.
 
 A program that reads the HDF5 files with h5py imports hdf5plugin first, which has their codecs.
 """
@@ -39,18 +39,18 @@ from sim.recording import SimConfig, stream
 from sim.scene.rig import Camera, Known, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
 
-_NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
+_NAME_LENGTH = 32  # letters kept of a name, up to 4 bytes each: a file's name has 255 at most
 
 
 def partial_path(parent: Path, name: str) -> Path:
-    """Give a path in `parent` to write what will be called `name`; another one at each call."""
+    """Return a path in `parent` at which to write what will be called `name`; each call differs."""
     unique = f"{_host()}.{os.getpid()}.{os.urandom(16).hex()}"
     return parent / f".{name[:_NAME_LENGTH]}.{unique}.partial"
 
 
 @cache
 def _host() -> str:
-    """Name the place in which a process id has one meaning: a machine, since it was started."""
+    """Name the scope of a process id: the machine, its last start and its namespace of ids."""
     node = platform.node()
     place = [node]
     with suppress(OSError):  # not Linux
@@ -67,8 +67,8 @@ _MAX_CHUNK_BYTES = 1 << 24  # of frames
 
 # As small as gzip after a byte shuffle, and seven times as fast: 28 ms for a million events.
 _EVENT_CODEC = hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE)
-# Finds again what lies up to 2 MB back, and so the same pixels of the frame before: of 90 MB, 20 s
-# before a grainy background, it leaves 5, and gzip, frame by frame, 70 in 30 times the time.
+# The codec finds repeats up to 2 MB back, and so the same pixels of the frame before: 90 MB, 20 s
+# before a grainy background, become 5 MB; by gzip, frame by frame, 70 MB in 30 times the time.
 _FRAME_CODEC = hdf5plugin.Zstd(clevel=3)
 
 
@@ -94,14 +94,14 @@ class CameraFiles:
         self._dataset = self.file.create_dataset("frames/images", **about, **_FRAME_CODEC)
 
     def take_frame(self, k: int, image: NDArray[np.uint8]) -> None:
-        """Write frame k, of frames that come in their order."""
+        """Write frame k, with the other frames of its chunk; frames must come in order."""
         at = k % len(self._waiting)
         self._waiting[at] = image
         if at == len(self._waiting) - 1 or k == self.n_frames - 1:
             self._dataset[k - at : k + 1] = self._waiting[: at + 1]
 
     def add(self, events: NDArray[Any]) -> None:
-        """Keep events: their columns must not lie between frames wherever these happen to end."""
+        """Keep events until `close`: where they lie in the file must not depend on the batches."""
         self._events.append(events)
         self.n_events += len(events)
 
@@ -143,7 +143,7 @@ def check_out_dir(out_dir: Path) -> None:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a recording that was written to a folder holds."""
+    """A recording that was written to a folder: its flight, and the counts of what it holds."""
 
     flight: Flight
     n_events: tuple[int, ...]  # of each camera
@@ -177,8 +177,8 @@ def save_recording(
     """Write a recording as a folder, new or empty, which appears only when all of it is written.
 
     `provenance`, what it was made with, goes into truth.json as it is; `text` writes the events as
-    ESIM text (cam1.txt, ...) too; `known` is what the rig files say of the intrinsics in place of
-    the truth. SimError when the folder is not empty or cannot be written.
+    ESIM text (cam1.txt, ...) too; `known` holds the intrinsics that the rig files state in place of
+    the true ones. SimError when the folder is not empty or cannot be written.
     """
 
     def replay(open_sink: OpenSink) -> Flight:
@@ -214,7 +214,7 @@ def _write(
         for name, with_extrinsics in (("rig.yaml", False), ("rig_extrinsics.yaml", True)):
             (partial / name).write_text(kalibr_yaml(flight.rig, with_extrinsics, known))
         truth = _truth(flight, n_events) | {"provenance": provenance}
-        # A line for each entry: json's own indentation is ten times as slow as all else about it.
+        # One line for each entry: json's own indentation takes ten times as long as all the rest.
         lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())
         (partial / "truth.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
     return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
@@ -222,7 +222,7 @@ def _write(
 
 @contextmanager
 def _whole_folder(out_dir: Path) -> Iterator[Path]:
-    """Give a folder to fill, which becomes `out_dir` if the block ends well."""
+    """Yield a folder to fill, which becomes `out_dir` if the block ends without an error."""
     check_out_dir(out_dir)
     try:
         out_dir = out_dir.resolve()
@@ -232,7 +232,7 @@ def _whole_folder(out_dir: Path) -> Iterator[Path]:
         try:
             yield partial
             check_out_dir(out_dir)  # the block may have taken minutes
-            if out_dir.is_dir():  # and stays the same one: it may be somebody's working directory
+            if out_dir.is_dir():  # keep it: it may be somebody's working directory
                 for path in sorted(partial.iterdir()):
                     path.rename(out_dir / path.name)
             else:

@@ -1,4 +1,4 @@
-"""The lens, the pixels, the readout and the frames of one camera, each as bad as configured."""
+"""The configured imperfections of one camera: of its lens, pixels, readout and frames."""
 
 from typing import Any
 
@@ -16,14 +16,14 @@ from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, TakeFrame
 
-# Branches of the seed, beside those of `sim.recording` and `sim.disturb`: of all cameras, and of
-# each its pixels and its frames.
+# Branches of the seed, beside those of `sim.recording` and `sim.disturb`: the lamps are common to
+# the cameras; pixels, phase and frames are drawn for each.
 _STREAM = 3
 _LAMPS, _PIXELS, _PHASE, _FRAMES = range(4)
 
 
 class CameraEffects:
-    """What stands between one camera's light and what it records; nothing by default.
+    """The imperfections between the light of one camera and its recording; none by default.
 
     `background` is the luminance (height, width) of the empty scene, `index` the camera's, 0 or 1.
     """
@@ -54,16 +54,16 @@ class CameraEffects:
         return blurred_crops(crops, self.effects.blur_px, self._sharp, self.background)
 
     def start_sensor(self, image: Float32Array, time_s: float, rng: np.random.Generator) -> Sensor:
-        """Start the pixels, of light behind the lens, as `Sensor` starts."""
+        """Return the sensor, started with an image behind the lens as `Sensor` is."""
         if self.effects.is_none:
             return Sensor(self._sensor, image, time_s, rng, self.background)
         about = (self._sensor, self.effects, self._rng(_PIXELS, self._index), self.flicker_rad)
         return EffectsSensor(*about, image, time_s, rng, self.background)
 
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
-        """Deliver all events of a recording that ends at a time [s], as the readout does.
+        """Return the events that the readout delivers of a recording that ends at `end_s` [s].
 
-        They are sorted by time [us of the scene], before and after, and within the recording.
+        Events are sorted by time [us, scene] before and after; those returned lie in the recording.
         """
         effects, frames = self.effects, self.frames
         if effects.frame_gap_s and frames.rate_hz:
@@ -73,7 +73,7 @@ class CameraEffects:
             gap = np.searchsorted(gaps_us, events["t"], side="right") - 1
             is_lost = (gap >= 0) & (events["t"] < gaps_us[gap] + 1e6 * effects.frame_gap_s)
             events = events[~is_lost]
-        if effects.scan_s:  # all pixels are looked at in turns: an event bears its turn's time
+        if effects.scan_s:  # all pixels are scanned periodically: events bear the next scan's time
             events, period_us = events.copy(), 1e6 * effects.scan_s
             events["t"] = np.rint(np.ceil(events["t"] / period_us) * period_us)
         if effects.readout_hz:
@@ -83,7 +83,7 @@ class CameraEffects:
         return recorded
 
     def through_noise(self, take: TakeFrame) -> TakeFrame:
-        """Give what takes frames without effects and hands them on with flicker and noise."""
+        """Wrap `take`, so that it is given frames with flicker and noise."""
         effects = self.effects
         if not (effects.frame_read_noise or effects.frame_full_well_e or effects.flicker_depth):
             return take
@@ -106,7 +106,7 @@ class CameraEffects:
         return take_without_noise
 
     def brightness(self, k: int) -> float:
-        """Give the mean of the lamps' light during frame k, over its mean in the long run."""
+        """Return the mean of the lamps' light over frame k's exposure, over the long-run mean."""
         depth, exposure_s = self.effects.flicker_depth, self.frames.exposure_s
         rad_s = 2.0 * np.pi * self.effects.flicker_hz
         from_rad = rad_s * (self.frame_start_s + k / self.frames.rate_hz) + self.flicker_rad
@@ -117,14 +117,14 @@ class CameraEffects:
         return generator(self._seed, _STREAM, stream, index)
 
 
-_REACH = 4.0  # deviations of the point spread, beyond which 6e-5 of the light would lie
+_REACH = 4.0  # half width of the point spread, in deviations: 6e-5 of the light lies beyond
 
 
 def point_spread(blur_px: float) -> FloatArray:
-    """Weights (2 r + 1,) of a point's light on the pixels of a row, of exactly this deviation.
+    """Return weights (2 r + 1,) of a point's light along a row, of exactly this deviation [px].
 
-    The discrete Gaussian kernel exp(-v) I_n(v), v = blur_px^2 (Lindeberg, TPAMI 1990): samples of
-    a Gaussian narrower than 0.7 px are too narrow, by 15 % of the variance at 0.5 px.
+    They are the discrete Gaussian kernel exp(-v) I_n(v), v = blur_px^2 (Lindeberg, TPAMI 1990):
+    samples of a Gaussian below 0.7 px are too narrow, by 15 % of the variance at 0.5 px.
     """
     reach = int(np.ceil(_REACH * blur_px))
     weights = ive(np.abs(np.arange(-reach, reach + 1)), blur_px**2)
@@ -133,7 +133,7 @@ def point_spread(blur_px: float) -> FloatArray:
 
 
 def blurred_image(image: Float32Array, blur_px: float) -> Float32Array:
-    """Blur a whole image (height, width); beyond its border lies what is on it."""
+    """Blur a whole image (height, width); beyond its border, its border pixels repeat."""
     weights, blurred = point_spread(blur_px), image.astype(np.float64)
     for axis in (0, 1):
         blurred = correlate1d(blurred, weights, axis, mode="nearest")
@@ -143,7 +143,7 @@ def blurred_image(image: Float32Array, blur_px: float) -> Float32Array:
 def blurred_crops(
     crops: Crops, blur_px: float, background: Float32Array, blurred: Float32Array
 ) -> Crops:
-    """Blur crops, which widens them, of an image whose background is given sharp and blurred."""
+    """Blur crops, which widens them, given the whole background sharp and blurred."""
     weights = point_spread(blur_px).astype(np.float32)
     margin = len(weights) // 2
     n, height, width = crops.luminance.shape
@@ -188,7 +188,7 @@ def _blur(sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights,
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
-    """Read events, sorted by time, out one by one, stamped then; beside one, `queue` may wait."""
+    """Read sorted events out one by one, stamped then; all beyond `queue` waiting are lost."""
     stamps_us, is_read = _serve(events["t"], 1e6 / readout_hz, queue)
     delivered: NDArray[Any] = events[is_read]
     delivered["t"] = stamps_us[is_read]
@@ -199,7 +199,7 @@ def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
 def _serve(t_us, service_us, queue):
     stamps_us = np.empty(t_us.size, np.int64)
     is_read = np.zeros(t_us.size, np.bool_)
-    free_us = -np.inf  # when all that waits has been read out
+    free_us = -np.inf  # when all waiting events have been read out
     for i in range(t_us.size):
         wait_us = free_us - t_us[i]
         if wait_us > (queue + 1e-6) * service_us:
@@ -211,7 +211,7 @@ def _serve(t_us, service_us, queue):
 
 
 _FULL_SCALE = 255.0
-_BITS = 12  # of a draw
+_BITS = 12  # of a 64-bit draw, for one pixel
 # The normal distribution's quantiles, of deviation 1: up to 3.7 deviations, enough for 8 bits.
 _QUANTILES = ndtri((np.arange(1 << _BITS) + 0.5) / (1 << _BITS)).astype(np.float32)
 _QUANTILES /= _QUANTILES.std()
@@ -219,7 +219,7 @@ _QUANTILES /= _QUANTILES.std()
 
 @njit(cache=True, nogil=True)
 def _add_noise(image, draws, mean, deviation, quantiles, noisy):
-    """Draw each pixel's level, all flat; 12 bits of a draw make one pixel's noise."""
+    """Draw each pixel's level, all arrays flat; 12 bits of a draw make one pixel's noise."""
     per_draw = 64 // _BITS
     for d in range(draws.size):
         bits = draws[d]

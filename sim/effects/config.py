@@ -1,13 +1,13 @@
-"""How far real sensors are from the ideal one: a config, and the values of sensors by name."""
+"""The imperfections of a real sensor: their config, and presets of sensors by name."""
 
 from dataclasses import dataclass, field, replace
 
 from sim.errors import SimError, check_numbers
 from sim.sensor.events import SensorConfig
 
-DIM_LUX = 0.1  # light at which shot noise is stated, and below which it stays
+DIM_LUX = 0.1  # light at which the dim-light shot noise is stated, and below which it is constant
 LATER = {"later": True}
-"""Of a field that is newer than results: where it does nothing, provenance is without it."""
+"""Metadata of a field that some results predate: provenance leaves it out at its default."""
 
 _POSITIVE = ("illuminance_lux", "camera2_light", "flicker_hz", "cutoff_min_hz", "cutoff_max_hz")
 
@@ -30,22 +30,22 @@ class SensorEffects:
     cutoff_max_hz: float = 5000.0  # its cut-off in any light
     dim_noise_on_hz: float = 0.0  # shot noise of a pixel at 0.1 lux, ON
     dim_noise_off_hz: float = 0.0  # the same, OFF
-    dim_noise_exponent: float = 0.75  # of the light by which that noise is divided
+    dim_noise_exponent: float = 0.75  # the noise falls as E to the power of minus this
     noise_spread_decades: float = 0.0  # deviation of log10 of the pixels' leak and noise rates
     leak_jitter: float = 0.0  # deviation of the time between leak events, as a share of it
     hot_clusters: int = 0  # of 3 x 3 hot pixels each, in each camera
     hot_cluster_hz: float = 200.0  # median rate of their pixels' ON events
     latency_s: float = 0.0  # from a crossing to its stamp, in any light
-    latency_lux_s: float = 0.0  # this divided by E more [s lux]
-    jitter_s: float = 0.0  # deviation of a stamp, in any light
-    jitter_lux_s: float = 0.0  # this divided by E more [s lux]
+    latency_lux_s: float = 0.0  # [s lux], divided by E: added to the latency
+    jitter_s: float = 0.0  # standard deviation of a stamp, in any light
+    jitter_lux_s: float = 0.0  # [s lux], divided by E: added to this deviation
     readout_hz: float = 0.0  # events read out per second; 0: any number at once
-    readout_queue: int = 1_000_000  # events that wait for it at most; more are lost
+    readout_queue: int = 1_000_000  # most events that wait for the readout; more are lost
     scan_s: float = field(default=0.0, metadata=LATER)  # between scans of all pixels; 0: none
-    frame_gap_s: float = 0.0  # after each exposure a frame is read out, and events are lost
+    frame_gap_s: float = 0.0  # events are lost after each exposure, while the frame is read out
     frame_phase_spread: float = 0.0  # share of the period from which a camera's phase is drawn
-    frame_read_noise: float = 0.0  # deviation of a frame's pixels, of full scale
-    frame_full_well_e: float = 0.0  # electrons of full scale, which have shot noise; 0: none
+    frame_read_noise: float = 0.0  # standard deviation in a frame, as a share of full scale
+    frame_full_well_e: float = 0.0  # electrons at full scale, for frames' shot noise; 0: none
 
     def __post_init__(self) -> None:
         check_numbers(self, "effects: ", or_zero=vars(self))
@@ -68,11 +68,11 @@ class SensorEffects:
 
     @property
     def is_none(self) -> bool:
-        """Whether the sensor stays as it is."""
+        """Whether there are no effects at all."""
         return self == SensorEffects()
 
     def of_camera(self, index: int) -> "SensorEffects":
-        """Give the effects in one camera: the second may see another light."""
+        """Return the effects of one camera; index 1 has its light scaled by `camera2_light`."""
         if index != 1:
             return self
         lux = self.illuminance_lux * self.camera2_light
@@ -81,7 +81,7 @@ class SensorEffects:
 
 @dataclass(frozen=True)
 class SensorPreset:
-    """A sensor: its pixels, and how bad they and what is around them are."""
+    """A sensor: the model of its pixels, and the effects in and around them."""
 
     sensor: SensorConfig
     effects: SensorEffects
@@ -184,4 +184,4 @@ SENSOR_PRESETS = {
         ),
     ),
 }
-"""Sensors by name. The old presets of noise alone are `sim.sensor.events.PRESETS`."""
+"""Sensors by name. Presets of pixel noise alone are `sim.sensor.events.PRESETS`."""

@@ -1,14 +1,14 @@
 """The compiled loops over the pixels of a sensor with effects.
 
-A pixel whose light stays is left alone, and followed when its light next changes: its signal is
-exact whatever the steps, and noise has no memory. The luminance of a pixel is linear between two
-instants, I(t) = i0 + slope (t - t0). Its photoreceptor follows as a low-pass of first order, whose
-exact answer is
+A pixel whose light is constant is skipped, and followed when its light next changes: its signal is
+exact for steps of any length, and noise has no memory. The luminance of a pixel is linear between
+two instants, I(t) = i0 + slope (t - t0). Its photoreceptor is a first-order low-pass, whose exact
+response is
 
     P(t) = I(t) - slope / k + c exp(-k (t - t0)),    c = P(t0) - i0 + slope / k,
 
-with k = 2 pi f, f the cut-off at the interval's mean light. Lamps that flicker multiply it by
-1 + a cos(omega t + phase), with the low-pass's own loss of amplitude and lag of phase.
+with k = 2 pi f, f the cut-off at the interval's mean light. Lamps that flicker multiply P by
+1 + a cos(omega t + phase), where a and phase include the low-pass's attenuation and phase lag.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from numba import njit
 from sim.sensor.kernels import SHOT_NOISE_DROP, decay, grown, uniform
 
 _TOLERANCE_S = 1e-8  # of crossing times, which are rounded to microseconds
-_SETTLED = 1e-7  # of the light: a photoreceptor that is as near has arrived
+_SETTLED = 1e-7  # share of the light that a settled photoreceptor may be off
 
 
 class Course(NamedTuple):
@@ -37,7 +37,7 @@ class Course(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def course_of(t0, t1, i0, i1, signal, rates):
-    """Say how a pixel's signal goes while its luminance goes linearly from i0 to i1."""
+    """Return a pixel's signal over [t0, t1], while its luminance goes linearly from i0 to i1."""
     slope = (i1 - i0) / (t1 - t0)
     k, c = 0.0, 0.0
     if rates.cutoff_hz_per_lux > 0.0:
@@ -55,7 +55,7 @@ def course_of(t0, t1, i0, i1, signal, rates):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def receptor(t, course):
-    """Give P, the photoreceptor's signal without flicker."""
+    """Return P, the photoreceptor's signal without flicker."""
     since_s = t - course.t0
     light = course.i0 + course.slope * since_s
     if course.k == 0.0:
@@ -65,7 +65,7 @@ def receptor(t, course):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def signal_at(t, course):
-    """Give P with the lamps' flicker."""
+    """Return P with the lamps' flicker."""
     signal = receptor(t, course)
     if course.depth > 0.0:
         signal *= 1.0 + course.depth * np.cos(course.rad_s * t + course.rad)
@@ -83,14 +83,14 @@ def turn_of(course):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def settled_from(course, light):
-    """Find from when on P has lost what it started from, but for a trifle."""
+    """Return the time from which the transient c exp(-k (t - t0)) of P is negligible."""
     left = abs(course.c) / (_SETTLED * light)
     return course.t0 + (np.log(left) / course.k if left > 1.0 else 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def able_from(t, level, up, down, leak, luminance, eps, course):
-    """Find from when on a settled pixel may pass a threshold by flicker, as its level sinks."""
+    """Return the time from which flicker may take a settled pixel to a threshold, as it leaks."""
     crest = (luminance * (1.0 + course.depth) + eps) / (level * up)
     trough = (luminance * (1.0 - course.depth) + eps) / (level * down)
     if crest >= 1.0 or trough < 1.0:
@@ -103,7 +103,7 @@ def crossing_of(t, stop, level, up, down, leak, eps, course):
     """Find when the signal next passes a threshold: (time [s], is ON), infinity if not by `stop`.
 
     The signal is monotone from t to stop; the level sinks. The root is bracketed and found by
-    false position, the end that stays being weighed down (Illinois).
+    false position, with the value at an end that stays halved (Illinois).
     """
     sunk = level * decay(leak * (stop - t))
     at_0, at_1 = signal_at(t, course) + eps, signal_at(stop, course) + eps
@@ -113,7 +113,7 @@ def crossing_of(t, stop, level, up, down, leak, eps, course):
         if f_b <= 0.0:
             continue
         f_a = sign * (at_0 - level * step)
-        # At most a rounding beyond at the start: an event memorises the threshold itself.
+        # The signal at t is beyond by rounding at most: an event memorises the threshold itself.
         if f_a >= 0.0:
             return t, polarity
         a, b, s, last = t, stop, stop, np.inf
@@ -140,11 +140,11 @@ PIXEL_DTYPE = np.dtype(
         ("down", "f8"),  # exp(-C-)
         ("level", "f8"),  # memorised luminance, with eps
         ("time_s", "f8"),  # up to when this pixel has been followed
-        ("signal", "f8"),  # P there, without flicker
+        ("signal", "f8"),  # P at that time, without flicker
         ("dead_until_s", "f8"),  # end of its refractory period
-        ("budget", "f8"),  # noise events that are yet to be expected until its next one
+        ("budget", "f8"),  # integral of its noise rate that is left until its next noise event
         ("hot_hz", "f8"),  # rate of a hot pixel, 0 otherwise
-        ("noisiness", "f8"),  # its noise rates over the nominal ones
+        ("noisiness", "f8"),  # ratio of its noise rates to the nominal ones
         ("leak_per_s", "f8"),  # how fast its memorised log intensity sinks, until its next event
         ("mean_leak_per_s", "f8"),  # the same in the mean
         ("random", "u8"),  # state of its own random numbers
@@ -153,14 +153,14 @@ PIXEL_DTYPE = np.dtype(
 
 
 class PixelRates(NamedTuple):
-    """What all pixels of a camera share."""
+    """The parameters that all pixels of a camera share."""
 
     eps: float
     lux: float  # of luminance 1
     refractory_s: float
     shot_hz: float
     background_hz: float
-    dim_on_share: float  # of the shot noise in dim light
+    dim_on_share: float  # share of ON events in the dim-light shot noise
     leak_jitter: float
     cutoff_hz_per_lux: float
     cutoff_min_hz: float
@@ -206,7 +206,7 @@ def follow_changes(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_all(time_s, image, pixels, rates, dim_hz, events, n):
-    """Follow all pixels, whose light stays, up to a time."""
+    """Follow all pixels, whose light is constant, up to a time."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             i, state = np.float64(image[y, x]), pixels[y, x]
@@ -217,7 +217,7 @@ def follow_all(time_s, image, pixels, rates, dim_hz, events, n):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stays_quiet(state, t1, i0, i1, rates, dim_hz):
-    """Follow a pixel up to t1 if its signal is monotone and stays between the thresholds."""
+    """Follow a pixel to t1, returning True, if its signal is monotone and surely without event."""
     t = state.time_s
     if state.dead_until_s > t:
         return False
@@ -259,7 +259,7 @@ def _follow(y, x, t1, i0, i1, pixels, rates, dim_hz, events, n):
     while t < t1:
         if state.dead_until_s > t:
             if state.dead_until_s >= t1:
-                break  # noise has no memory: what would fall due meanwhile is lost
+                break  # noise has no memory: events due meanwhile are lost
             t = state.dead_until_s
             level = signal_at(t, course) + rates.eps
         stop = t1
@@ -309,7 +309,7 @@ def _follow(y, x, t1, i0, i1, pixels, rates, dim_hz, events, n):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _noise_hz(luminance, state, rates, dim_hz):
-    """Rate of a pixel's noise events of all causes."""
+    """Return the rate of a pixel's noise events of all causes."""
     shot_hz = rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
     nominal_hz = shot_hz + _dim_hz(luminance, dim_hz)
     return state.noisiness * nominal_hz + state.hot_hz + rates.background_hz
@@ -317,7 +317,7 @@ def _noise_hz(luminance, state, rates, dim_hz):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _dim_hz(luminance, dim_hz):
-    """Look the shot noise in dim light up in its table over luminance, 0 to 1."""
+    """Interpolate the rate of dim-light shot noise in its table over luminance, 0 to 1."""
     at = min(max(luminance, 0.0), 1.0) * (dim_hz.size - 1)
     k = min(np.int64(at), dim_hz.size - 2)
     return dim_hz[k] + (at - k) * (dim_hz[k + 1] - dim_hz[k])
@@ -325,7 +325,7 @@ def _dim_hz(luminance, dim_hz):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):
-    """Draw the polarity of a noise event: hot pixels are ON, shot noise is either."""
+    """Draw the polarity of a noise event: that of a hot pixel is ON, shot noise is either."""
     draw = uniform(state) * noise_hz - state.hot_hz
     if draw < 0.0:
         return True
@@ -335,7 +335,7 @@ def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _delay(light, state, rates):
-    """Draw how much later than its crossing an event is stamped [s]."""
+    """Draw the time from a crossing to the stamp of its event [s]."""
     lux = rates.lux * light
     delay_s = rates.latency_s + rates.latency_lux_s / lux
     deviation_s = rates.jitter_s + rates.jitter_lux_s / lux

@@ -1,4 +1,4 @@
-"""The pixels of `sim.sensor.events`, as bad as real ones."""
+"""The pixels of `sim.sensor.events` with the imperfections of real ones."""
 
 from typing import Any
 
@@ -12,15 +12,15 @@ from sim.errors import SimError
 from sim.sensor.events import HOT_SPREAD, Sensor, SensorConfig
 
 CLUSTER_PX = 3  # side of a hot cluster
-_TABLE = 4097  # steps of a quarter of `log_eps`: 1 % off at most between two
+_TABLE = 4097  # entries, in steps of a quarter of `log_eps`: at most 1 % off in between
 
 
 class EffectsSensor(Sensor):
     """The pixels of one camera, with the effects that act within a pixel.
 
-    They have seen their first image for long, and memorised it at the start. `effects_rng` draws
-    what the effects add; `flicker_rad` is the phase of the lamps at time 0. SimError when the image
-    is smaller than a hot cluster.
+    At the start they have settled on their first image and memorised it. `effects_rng` draws what
+    the effects add; `flicker_rad` is the phase of the lamps at time 0. SimError when the image is
+    smaller than a hot cluster.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class EffectsSensor(Sensor):
         lit = self._image * _flicker_at(rad, self._image, config, effects)
         level = self._reference * (lit + config.log_eps) / (self._image + config.log_eps)
         self._pixels["down"], self._pixels["level"] = self._down, level
-        # Of the shot noise in dim light, over luminance from 0 to 1.
+        # The rate of the dim-light shot noise, over luminance from 0 to 1.
         lux = effects.illuminance_lux * (np.linspace(0.0, 1.0, _TABLE) + config.log_eps)
         dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
         self._dim_hz = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (-effects.dim_noise_exponent)
@@ -73,7 +73,7 @@ class EffectsSensor(Sensor):
     def finish(self, time_s: float) -> NDArray[Any]:
         """Hold the last image until `time_s` and return all events, as `Sensor.finish` does.
 
-        Latency may put some after `time_s`, and jitter some before the start.
+        Latency may stamp some after `time_s`, and jitter some before the start.
         """
         self._time_s = max(time_s, self._time_s)
         self._events.follow(
@@ -90,14 +90,14 @@ def _start(
     image: Float32Array,
     rng: np.random.Generator,
 ) -> NDArray[Any]:
-    """Draw what each pixel starts from, beside what the sensor without effects draws."""
+    """Draw each pixel's initial state, except for what `Sensor` has drawn into `noise`."""
     pixels = np.zeros(image.shape, PIXEL_DTYPE)
     for name in ("time_s", "dead_until_s", "hot_hz", "random"):
         pixels[name] = noise[name]
     pixels["up"], pixels["signal"] = up, image
     pixels["budget"] = rng.standard_exponential(image.shape)
     spread = np.log(10.0) * effects.noise_spread_decades
-    # Log-normal about the nominal rate, as in v2e; divided by its mean, so that rates hold.
+    # Log-normal about the nominal rate, as in v2e; divided by its mean, which keeps the mean rate.
     pixels["noisiness"] = rng.lognormal(-0.5 * spread**2, spread, image.shape)
     pixels["mean_leak_per_s"] = config.leak_hz * np.log(up) * pixels["noisiness"]
     late = np.maximum(1.0 + effects.leak_jitter * rng.standard_normal(image.shape), 0.1)
@@ -120,7 +120,7 @@ def _start(
 def _flicker_at(
     rad_at: float, image: Float32Array, config: SensorConfig, effects: SensorEffects
 ) -> FloatArray:
-    """Give what flicker multiplies each pixel's signal by, (height, width)."""
+    """Return the factors (height, width) by which flicker multiplies each pixel's signal."""
     rad: FloatArray = np.full(image.shape, rad_at)
     depth: Any = effects.flicker_depth
     if effects.cutoff_hz_per_lux:

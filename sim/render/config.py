@@ -11,7 +11,7 @@ from sim.scene.rig import Camera
 
 RENDERERS = ("native", "pyrender")
 DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
-"""Numbers by which shaders and kernels know them."""
+"""The number of each model in shaders and kernels."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class RenderConfig:
     lattice: Lattice = field(default_factory=lambda: Lattice(16, 1))
     light_W: tuple[float, float, float] = (0.35, -0.4, 0.85)  # towards the light, any length
     ambient: float = 0.35  # share of the light that comes from everywhere
-    renderer: str = "native"  # "native": compiled Python; "pyrender": OpenGL, the definition
-    check: bool = True  # what "native" draws, at some instants, against "pyrender"
+    renderer: str = "native"  # "native": compiled Python; "pyrender": OpenGL, the reference
+    check: bool = True  # compare "native" with "pyrender" at some instants
     backend: str = "auto"  # of OpenGL: "auto", "osmesa" or "egl"
 
     def __post_init__(self) -> None:

@@ -14,14 +14,14 @@ from sim.scene.drone import Drone, piece_size_m
 from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt, Trajectory
 
-# An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
+# An edge across half the view bows by some 10 px under strong distortion, such a piece by 0.6.
 _PIECE_OF_SIZE = 1 / 4
 _CHUNK = 256  # instants projected at a time, to bound memory
-# Beyond this, products of the native renderer's edge functions do not fit 64 bits: they are three
-# times the square of a corner's place, in 1/256 of a sample, of which 32 lie along a pixel at most.
+# Beyond this, products in the native renderer's edge functions overflow 64 bits: they are 3 times
+# the square of a corner's coordinate, in 1/256 of a sample, with up to 32 samples along a pixel.
 _FAR_PX = 1 << 16
-# How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
-# and with it the bend of an edge between two corners.
+# How far the image may lie beyond the projected hull: by the rasteriser's rounding, and under
+# distortion also by the bend of an edge between two points.
 _MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
 
 
@@ -40,10 +40,10 @@ def footprint(
 ) -> Footprint:
     """Find where the drone's image lies at instants (n,) [s], with its body at T_W_B (n, 4, 4).
 
-    `moved_px` is 0 wherever the drone is not visible, before or after. SimError when the drone
-    passes through the camera's image plane within its view.
+    `moved_px` is 0 unless the drone is visible at this and at the previous instant. SimError when
+    the drone passes through the camera's image plane within its view.
     """
-    # Between these points of each part its silhouette is all but straight.
+    # Between these points of a part, its silhouette is nearly straight.
     piece_m = piece_size_m(drone, camera, _PIECE_OF_SIZE)
     hulls = [_hull_points(part.vertices_B_m, piece_m) for part in drone.parts]
     parts: list[tuple[FloatArray, ...]] = []
@@ -83,13 +83,13 @@ def footprint(
 
 
 def _parts_in_world(drone: Drone, times_s: FloatArray, T_W_B: FloatArray) -> FloatArray:
-    """Place all parts, T_W_P of shape (parts, n, 4, 4)."""
+    """Return the poses of all parts, T_W_P (parts, n, 4, 4)."""
     joints = [part.joint for part in drone.parts]
     return np.stack([T_W_B @ joint.transforms(times_s) if joint else T_W_B for joint in joints])
 
 
 def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> None:
-    """Refuse instants in view at which some of the outline has no image, or one too far away."""
+    """Raise SimError if, in view, some of the outline has no image or one too far outside."""
     imaged = np.isfinite(pixels[..., 0])
     cut = imaged.any(axis=1) & ~imaged.all(axis=1)
     cut |= (np.abs(pixels) > _FAR_PX).any(axis=(1, 2))
@@ -123,8 +123,8 @@ def _hull_points(vertices_m: FloatArray, piece_m: float) -> FloatArray:
     return np.concatenate(points)
 
 
-PROBE_HZ = 1000.0  # how finely the motion is looked at beforehand
-PROBES_PER_TURN = 100  # and along a turn of a rotor
+PROBE_HZ = 1000.0  # rate at which the motion is probed beforehand, at least
+PROBES_PER_TURN = 100  # probes along a turn of a rotor, at least
 
 
 def choose_instants(
@@ -132,15 +132,15 @@ def choose_instants(
 ) -> FloatArray:
     """Choose the instants [s] to render for one camera, from 0 to the trajectory's end.
 
-    Between two of them no point of the drone's outline moves by more than `max_step_px`, to about
-    1 %, where it is in view; each camera has instants of its own.
+    While the drone is in view, no point of its outline moves by more than `max_step_px`, to about
+    1 %, between two instants. Each camera has instants of its own.
     """
     turns_hz = [abs(part.joint.rate_hz) for part in drone.parts if part.joint is not None]
     probe_hz = max([PROBE_HZ, *(PROBES_PER_TURN * rate for rate in turns_hz)])
     n_probes = max(2, int(np.ceil(trajectory.duration_s * probe_hz)) + 1)
     probes_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_probes, dtype=np.float64)
     moved_px = footprint(drone, camera, probes_s, PosesAt(trajectory, probes_s)).moved_px
-    # Count steps: along the sum of displacements, or of time where that asks for more.
+    # Steps are counted by displacement, or by time where that asks for more of them.
     steps = np.maximum(moved_px[1:] / config.max_step_px, np.diff(probes_s) * config.min_rate_hz)
     count = np.concatenate([[0.0], np.cumsum(steps)])
     n_instants = int(np.ceil(count[-1])) + 1
@@ -148,17 +148,17 @@ def choose_instants(
 
 
 class Views(NamedTuple):
-    """What drawing n instants of one camera needs."""
+    """What a painter needs to draw n instants of one camera."""
 
     times_s: FloatArray  # (n,) [s]
     visible: NDArray[np.bool_]  # (n,)
     depth_m: FloatArray  # (n, 2) least and greatest depth
-    boxes: IntArray  # (n, 4), as of `Footprint`
+    boxes: IntArray  # (n, 4), as in `Footprint`
     T_C_P: Float32Array  # (n, parts, 4, 4)
 
 
 def crop_size(boxes: IntArray) -> tuple[int, int]:
-    """Width and height [px] of the smallest crop that is large enough for every box (n, 4)."""
+    """Return the width and height [px] of the smallest crop that holds any of the boxes (n, 4)."""
     width, height = (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
     return int(width), int(height)
 
@@ -171,7 +171,7 @@ def plan_views(
     times_s: FloatArray,
     T_W_B: FloatArray | PosesAt,
 ) -> Views:
-    """Prepare the chosen instants for drawing."""
+    """Return what a painter needs to draw the chosen instants."""
     visible = seen.visible[chosen]
     T_C_P = camera.T_C_W @ _parts_in_world(drone, times_s[chosen], T_W_B[chosen])
     # Out of view a part shrinks to a point on the axis, in front, which covers no sample.

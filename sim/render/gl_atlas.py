@@ -28,8 +28,8 @@ class GLPainter:
     """Draws one drone with OpenGL: what pyrender's own full frame shows, crop by crop.
 
     One draw call renders many instants: each is an instance of the mesh in its own tile of an
-    atlas. The vertex shader is the camera and rounds to the rasteriser's grid, so an instant has
-    the same pixels wherever its tile lies. SimError without a GL context that can do it.
+    atlas. The vertex shader applies the camera model and rounds to the rasteriser's grid, so an
+    instant has the same pixels wherever its tile lies. SimError without a suitable GL context.
     """
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:
@@ -46,12 +46,12 @@ class GLPainter:
         self._words = np.empty((0, 0), np.uint32)
 
     def room(self, width_px: int, height_px: int) -> int:
-        """Return how many instants of this size may be drawn at a time."""
+        """Return how many crops of this size may be drawn at a time."""
         tile = self._config.lattice.tile_size(width_px, height_px)
         return min(MAX_INSTANCES, max(1, (ATLAS_SIZE // tile[0]) * (ATLAS_SIZE // tile[1])))
 
     def close(self) -> None:
-        """Free what it holds on the GL side."""
+        """Free the painter's GL objects."""
         for primitives in self._meshes.values():
             for primitive in primitives:
                 primitive._remove_from_context()
@@ -66,10 +66,10 @@ class GLPainter:
         """Draw crops, as `sim.render.native.NativePainter.paint` does."""
         lattice, size_px = self._config.lattice, crop_size(views.boxes)
         tile = lattice.tile_size(*size_px)
-        # Tiles stand in rows: the column and row at which each starts.
+        # Tiles stand in rows; `corners` are the column and row at which each starts.
         row, column = np.divmod(np.arange(len(views.times_s)), max(1, ATLAS_SIZE // tile[0]))
         corners: IntArray = np.stack([column * tile[0], row * tile[1]], axis=-1)
-        # A matrix's last row is for the tile: its shift from the lattice, and its corner.
+        # The last row of a matrix holds the tile's shift from the lattice, and its corner.
         matrices = views.T_C_P.copy()
         origins = lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], size_px[1])
         matrices[:, :, 3, :2] = (corners - origins)[:, None]
@@ -86,7 +86,7 @@ class GLPainter:
     def _draw(self, primitives: list[Any], matrices: Float32Array) -> None:
         """Draw every instance of every part, matrices (n, parts, 4, 4), and read the words."""
         GL, (height, width) = self._GL, self._words.shape
-        for plane in range(4):  # where an outline leaves its crop, the tile cuts it off
+        for plane in range(4):  # clip outlines at the border of their tile
             GL.glEnable(GL.GL_CLIP_DISTANCE0 + plane)
         GL.glViewport(0, 0, width, height)
         GL.glClearBufferuiv(GL.GL_COLOR, 0, np.zeros(4, np.uint32))  # words of the background
@@ -108,7 +108,7 @@ class GLPainter:
         tile: tuple[int, int],
         depth_range_m: tuple[float, float],
     ) -> None:
-        """Set all that `mesh.vert` needs; the sizes of atlas and tile in samples."""
+        """Set the uniforms of `mesh.vert`; the sizes of atlas and tile are in samples."""
         GL, lattice, K = self._GL, self._config.lattice, camera.K
         locate = partial(GL.glGetUniformLocation, self._program._program_id)
         GL.glUniform4f(locate("intrinsics"), K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -132,7 +132,7 @@ class GLPainter:
         return self._meshes[piece_m]
 
     def _bind_framebuffer(self, width: int, height: int) -> None:
-        """Bind the off-screen buffer, of just this size: drivers clear all of it, used or not."""
+        """Bind the off-screen buffer, of exactly this size, as drivers clear all of it."""
         GL = self._GL
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._framebuffer)
         GL.glEnable(GL.GL_DEPTH_TEST)
@@ -168,7 +168,7 @@ def _primitive(part: Part, piece_m: float) -> Any:
 
     faces = part_faces(part, piece_m)
     per_face = np.concatenate([faces.normals, faces.albedo[:, None]], axis=1)
-    # The image has y down where GL has it up, so what GL must see as the front is the inside.
+    # The image has y down, GL has y up: reversed corners make outward faces GL's front faces.
     rows = np.concatenate(
         [faces.corners_m[:, ::-1], np.repeat(per_face[:, None], 3, axis=1)], axis=2
     ).reshape(-1, 7)
@@ -176,7 +176,7 @@ def _primitive(part: Part, piece_m: float) -> Any:
     return Primitive(
         unique[:, :3],
         normals=unique[:, 3:6],
-        color_0=unique[:, [6, 6, 6, 6]],  # of which the shader reads the first
+        color_0=unique[:, [6, 6, 6, 6]],  # the shader reads the first value
         indices=indices.reshape(-1, 3),
         poses=np.tile(np.eye(4), (MAX_INSTANCES, 1, 1)),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from sim.errors import SimError
 
 BACKENDS = {"osmesa": "OSMesa", "egl": "EGL"}
-"""Their libraries, the one that is taken first, first."""
+"""The backends and their libraries, in order of preference."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def open_context(backend: str = "auto") -> GLContext:
     """
     if backend not in ("auto", *BACKENDS):
         raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
-    bound = os.environ.get("PYOPENGL_PLATFORM")  # of PyOpenGL, by us or by the user beforehand
+    bound = os.environ.get("PYOPENGL_PLATFORM")  # set below, or by the user
     chosen = bound if bound in BACKENDS else _first_available() if backend == "auto" else backend
     if backend not in ("auto", chosen):
         raise SimError(
@@ -44,7 +44,7 @@ def open_context(backend: str = "auto") -> GLContext:
 
 
 def context_or_none() -> GLContext | None:
-    """Open the GL context of this process, if this machine has one."""
+    """Open the GL context of this process; None if it cannot be opened."""
     try:
         return open_context()
     except SimError:

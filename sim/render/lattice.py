@@ -19,8 +19,8 @@ from sim.errors import SimError
 
 # A sample word is 0 where the sample sees the background, and COUNT + the luminance's code where it
 # sees the object, so a sum of words holds both the sum of codes and the number of object samples.
-FULL_CODE = 65535  # of luminance 1
-COUNT_BIT = 26  # of 31^2 + 1 codes it needs 26 bits
+FULL_CODE = 65535  # code of luminance 1
+COUNT_BIT = 26  # lowest bit of the count: a sum of 31^2 + 1 codes needs 26 bits
 MAX_A = 31
 LANES = 16  # samples that the native renderer draws, or sums, at a time
 
@@ -63,14 +63,14 @@ class Lattice:
 
     @cached_property
     def pixel_columns(self) -> IntArray:
-        """The same by lattice columns, (n, 3): column, first row, end."""
+        """The pixel's samples by lattice columns, (n, 3): column, first row, row after the last."""
         u, v = self.pixel_samples.T
         column, start, count = np.unique(u, return_index=True, return_counts=True)
         return np.stack([column, v[start], v[start] + count], axis=-1)
 
     @cached_property
     def centre(self) -> FloatArray:
-        """Mean lattice position (2,) of a pixel's samples: where its own centre must lie."""
+        """Mean lattice position (2,) of a pixel's samples, where the pixel's centre must lie."""
         mean: FloatArray = self.pixel_samples.mean(axis=0)
         return mean
 
@@ -102,8 +102,8 @@ def average_tiles(
 ) -> Float32Array:
     """Average the samples of each pixel of n crops (n, height, width), over the background.
 
-    Their tiles start at `corners` (n, 2), column and row, of an atlas of sample words, the crops of
-    `size_px`, width and height, at `corner_px` (n, 2) of the image.
+    The crops, of `size_px`, width and height, start at `corner_px` (n, 2) of the image; their tiles
+    start at `corners` (n, 2), column and row, of an atlas of sample words.
     """
     width, height = size_px
     luminance = np.empty((len(corners), height, width), np.float32)
@@ -115,7 +115,7 @@ def average_tiles(
 
 
 def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
-    """Give `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
+    """Return `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
     u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height_px)
     columns: IntArray = lattice.pixel_columns - np.array([u0, v0, v0])
     return columns
@@ -125,10 +125,10 @@ def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
 def runs_of_tile(
     lattice: Lattice, size_px: tuple[int, int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Say which runs of samples along the rows of a crop's tile belong to one pixel.
+    """Find the runs of samples, along the rows of a crop's tile, that belong to one pixel.
 
-    Returns the run of each sample, row by row; the first sample of each run, and one past the last
-    run's; and the pixel of each run: width times row plus column, or width times height of none.
+    Returns the run of each sample, row by row; the first sample of each run, then the number of
+    samples; and each run's pixel, width * row + column, or width * height outside all pixels.
     """
     width, height = size_px
     pixel_of = np.full(lattice.tile_size(width, height)[::-1], width * height, np.int32)
@@ -176,7 +176,7 @@ def _mixed(total, n_samples, background):
 
 @njit(cache=True, nogil=True)
 def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
-    """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
+    """Add each sample's word to its pixel's sum, and clear the keys that were drawn."""
     for v in range(height):
         low, high = touched[v, 0], touched[v, 1]
         if low > high:
@@ -188,7 +188,7 @@ def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
             stop = min(np.int64(run_start[run + np.uint64(1)]), end)
             n = stop - here
             total = np.int64(0)
-            # So many that the processor does LANES at a time, and none is left over.
+            # The count is rounded up to whole LANES, which the processor does at a time.
             for lane in range((n + (LANES - 1)) & -LANES):
                 word = keys[np.uint64(here + lane)] & 0xFFFFFFFF
                 total += word if lane < n else np.int64(0)
@@ -201,7 +201,7 @@ def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
 
 @njit(cache=True, nogil=True)
 def average_block(sums, width, n_samples, background, image):
-    """Turn sums of words into luminance, over the background, and empty them."""
+    """Turn sums of words into luminance, over the background, and clear the sums."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
             image[j, i] = _mixed(sums[j * width + i], n_samples, background[j, i])

@@ -21,23 +21,23 @@ from sim.scene.rig import MIN_DEPTH_M, Camera
 
 BATCH = 256  # instants, at most
 BATCH_PIXELS = 1 << 21  # of all their crops, at most: 8 MB
-# Samples each way that a block of pixels has, at most: its keys stay in the processor's cache.
+# The most samples each way of a block of pixels: its keys then stay in the processor's cache.
 BLOCK_SAMPLES = 384
 
 
 _Mesh = tuple[FloatArray, IntArray, IntArray, FloatArray, FloatArray, IntArray]
-"""Vertices, the first of each part, faces, normals, albedo, and the first face of each part."""
+"""Vertices, first vertex of each part, faces, normals, albedo, and first face of each part."""
 
 
 class NativePainter:
-    """Draws one drone."""
+    """Draws one drone in compiled Python, crop by crop."""
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:
         self._drone, self._config = drone, config
         self._meshes: dict[float, _Mesh] = {}  # by the size of their pieces
 
     def room(self, width_px: int, height_px: int) -> int:
-        """Return how many instants of this size may be drawn at a time."""
+        """Return how many crops of this size may be drawn at a time."""
         return int(min(BATCH, max(1, BATCH_PIXELS // (width_px * height_px))))
 
     def paint(
@@ -93,7 +93,7 @@ def _place(
     vertices, first_vertex, T_C_P, intrinsics, model, coeffs, lattice, shift_u, shift_v,
     inverse_z, snapped,
 ):  # fmt: skip
-    """Find 1/z of all vertices, and round them on the lattice to 1/256; returns bounds of 1/z."""
+    """Find 1/z and lattice position, rounded to 1/256, of all vertices; returns bounds of 1/z."""
     nearest, farthest = 0.0, np.inf
     for part in range(T_C_P.shape[0]):
         T = T_C_P[part]
@@ -116,7 +116,7 @@ def _place(
 
 @njit(cache=True, nogil=True)
 def _distort(x, y, model, k):
-    """Bend a ray's slopes as the lens does: 0 none, 1 radtan, 2 equidistant."""
+    """Distort a ray's slopes by the lens model: 0 none, 1 radtan, 2 equidistant."""
     if model == 1:
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k[0] + r2 * k[1])
@@ -135,7 +135,7 @@ def _distort(x, y, model, k):
 
 @njit(cache=True, nogil=True)
 def _snap(at):
-    """Round a lattice coordinate to 1/256."""
+    """Round a lattice coordinate to whole units of 1/256."""
     return np.int64(np.floor(at * 256.0 + 0.5))
 
 
@@ -171,7 +171,7 @@ def _paint_crops(
     keys = np.zeros(height * width + LANES, np.int64)
     touched = np.empty((height, 2), np.int64)  # of each row, first and last sample drawn
     touched[:, 0], touched[:, 1] = width, -1
-    # One more takes the samples of the tile that belong to no pixel of the block.
+    # The last sum takes the samples of the tile that belong to no pixel of the block.
     sums = np.zeros(block_px[0] * block_px[1] + 1, np.int64)
     inverse_z = np.empty(n_vertices)
     snapped = np.empty((n_vertices, 2), np.int64)
@@ -243,7 +243,7 @@ def _fill(keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, word
     last = min(lowest >> 8, height - 1)
     if max(x0, x1, x2) < 0 or min(x0, x1, x2) > 256 * (width - 1):
         last = np.int64(-1)
-    # From the top corner on: the next along the outline on the right, and on the left.
+    # The top corner (t), and the corners next to it along the outline: right (r) and left (l).
     if y0 <= y1 and y0 <= y2:
         xt, yt, xr, yr, xl, yl = x0, y0, x2, y2, x1, y1
     elif y1 <= y2:
@@ -271,7 +271,7 @@ def _fill(keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, word
             key = (np.int64(here) << 32) | word
             n = high - low + 1
             start = v * width + low
-            # So many that the processor does LANES at a time, and none is left over.
+            # The count is rounded up to whole LANES, which the processor does at a time.
             for lane in range((n + (LANES - 1)) & -LANES):
                 at = np.uint64(start + lane)
                 keys[at] = max(keys[at], key if lane < n else np.int64(0))

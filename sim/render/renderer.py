@@ -1,7 +1,7 @@
 """Crops of linear luminance that follow the drone, drawn by one of two painters.
 
-`native` in compiled Python draws the same samples as `pyrender` with OpenGL, which is the
-definition. What the first draws is compared with the second at some instants of each recording.
+The painter `native`, in compiled Python, draws the same samples as the painter `pyrender`, with
+OpenGL, which is the reference. The two are compared at some instants of each recording.
 """
 
 from collections.abc import Iterator
@@ -22,10 +22,10 @@ from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt
 
 CHECKED_INSTANTS = 25  # of each camera, drawn by both painters
-# What the two may differ by. Corners are rounded to 1/256 of a sample from double precision here
-# and from single precision there, and surfaces cut into each other where 24 bits of depth end:
-# single samples beside an edge change sides, and where the edge runs along the lattice a row or a
-# column of a pixel at once. A corner or face that is wrong changes many more.
+# By how much the two may differ. Corners are rounded to 1/256 of a sample from double precision in
+# `native` and from single precision in OpenGL, which resolves the depth of intersecting surfaces to
+# 24 bits. So single samples beside an edge change sides, or a row or a column of a pixel at once if
+# the edge runs along the lattice. A corner or face that is wrong changes many more.
 MAX_ROWS_OF_PIXEL = 2  # of `Lattice.a` samples
 MAX_SAMPLES_PER_PIXEL = 0.02  # in the mean over all pixels of a recording that show the drone
 MIN_SHOWN = 10_000  # pixels: in the mean of fewer, a row or two weigh too much
@@ -45,7 +45,7 @@ class Crops(NamedTuple):
 
 @dataclass
 class RenderCheck:
-    """How far the native renderer's pixels were from the definition's, where both drew."""
+    """How far the native renderer's pixels are from OpenGL's at the instants that both drew."""
 
     n_instants: int = 0
     n_pixels: int = 0  # that show the drone
@@ -61,8 +61,8 @@ class RenderCheck:
 class Renderer:
     """Draws one drone; use as a context manager.
 
-    The seed chooses the instants that are checked. SimError where no GL context can be opened, or
-    it lacks what is needed; `check=False` needs none.
+    The seed chooses the instants that are checked. SimError where no suitable GL context can be
+    opened; "native" with `check=False` needs none.
     """
 
     def __init__(self, drone: Drone, config: RenderConfig | None = None, seed: int = 0) -> None:
@@ -98,8 +98,8 @@ class Renderer:
     ) -> Iterator[Crops]:
         """Render, in order, the instants at which the drone is in view, and those next to them.
 
-        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the body's poses. Instants missing from all
-        crops show the background (height, width), as do those before and after them. SimError when
+        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the body's poses. An instant missing from
+        all crops shows the background (height, width), as do its two neighbours. SimError when
         the two painters differ by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
@@ -110,7 +110,7 @@ class Renderer:
         checked = self._checked(np.flatnonzero(seen.visible))
         chosen = np.flatnonzero(near_view)
         while len(chosen):
-            size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])  # at most as many
+            size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])  # no batch is larger
             batch, chosen = chosen[:size], chosen[size:]
             views = plan_views(self.drone, camera, seen, batch, times_s, T_W_B)
             width, height = crop_size(views.boxes)
@@ -123,7 +123,7 @@ class Renderer:
             yield Crops(views.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 
     def _size_of_batch(self, boxes: IntArray) -> int:
-        """Find how many of the coming instants are painted at a time, in crops of one size."""
+        """Return how many of the next instants to paint at a time, in crops of one size."""
         # The crop grows with the batch, so the first one's room bounds that of all.
         size = min(len(boxes), self._painter.room(*crop_size(boxes[:1])))
         while (room := self._painter.room(*crop_size(boxes[:size]))) < size:
@@ -131,7 +131,7 @@ class Renderer:
         return size
 
     def _checked(self, visible: IntArray) -> IntArray:
-        """Choose instants spread evenly over those in view, each within its share of them."""
+        """Choose instants to check: a random one from each of equal shares of those in view."""
         if self._reference is None or self._painter is self._reference or not len(visible):
             return np.empty(0, np.int64)
         n = min(CHECKED_INSTANTS, len(visible))

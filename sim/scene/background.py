@@ -26,8 +26,8 @@ def uniform_background(camera: Camera, luminance: float) -> Float32Array:
 def load_background(path: Path, camera: Camera) -> Float32Array:
     """Read the linear luminance (height, width) of a static image that fills the camera's view.
 
-    The file is an image that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
-    numbers, linear luminance in [0, 1]. SimError when it cannot be read, has another size than the
+    An integer image that OpenCV reads is taken as sRGB; a `.npy` file or a floating-point image
+    holds linear luminance in [0, 1]. SimError when it cannot be read, has another size than the
     camera, or values outside [0, 1].
     """
     luminance = _load_array(path) if path.suffix == ".npy" else _load_image(path)

@@ -66,10 +66,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Drone:
-    """What the cameras watch."""
+    """The object that the cameras watch."""
 
     parts: tuple[Part, ...]
-    size_m: float  # largest horizontal extent, with what the joints sweep
+    size_m: float  # largest horizontal extent, including what the joints sweep
 
 
 def solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
@@ -78,7 +78,7 @@ def solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
 
 
 def join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> Part:
-    """Join parts into one, scaled, on the given joint."""
+    """Join parts into a single one, scaled, on the given joint."""
     first = np.cumsum([0] + [len(part.vertices_B_m) for part in parts])
     vertices = np.concatenate([part.vertices_B_m for part in parts]) * scale
     faces = np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)])
@@ -86,7 +86,7 @@ def join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> P
 
 
 def check_size(size_m: float) -> None:
-    """Raise SimError when it is no size of a drone."""
+    """Raise SimError unless the size of a drone is finite and positive."""
     if not (np.isfinite(size_m) and size_m > 0):
         raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
 
@@ -95,9 +95,9 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
     """Read a user's own mesh, of any format that trimesh reads; a scene's meshes are joined.
 
     x is forward, y left, z up; the middle of the bounding box becomes the origin. With a size [m]
-    the mesh is scaled so that its larger horizontal extent is that; else the file's units are
+    the mesh is scaled so that its larger horizontal extent has this size; else the file's units are
     metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. A
-    mesh that is not closed shows both sides. SimError for what cannot be used.
+    mesh that is not closed shows both sides. SimError for a file that cannot be used.
     """
     if size_m is not None:
         check_size(size_m)
@@ -112,7 +112,7 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:
-    """Read the meshes of a file, with every reason for which it cannot be used as a SimError."""
+    """Read the meshes of a file; SimError, with the reason, if the file cannot be used."""
     if not path.is_file():
         raise SimError(f"the drone's mesh {path} does not exist")
     try:
@@ -130,10 +130,10 @@ def _load_meshes(path: Path) -> list[trimesh.Trimesh]:
 
 
 def _closed(mesh: trimesh.Trimesh) -> Part:
-    """Return a mesh with outward faces; one that is not closed with every face on both sides."""
+    """Return a mesh with outward faces; a mesh that is not closed gets each face on both sides."""
     albedo = _albedo(mesh)
     mesh = mesh.copy()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # files repeat them along every seam
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # files repeat vertices along every seam
     if not mesh.is_volume:
         trimesh.repair.fix_normals(mesh, multibody=True)  # type: ignore[no-untyped-call]
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
@@ -216,7 +216,7 @@ def pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> Flo
     return T
 
 
-# Under distortion a straight edge bends; pieces of this share of the drone stay straight enough.
+# Under distortion a straight edge bends; pieces of this share of the size stay straight enough.
 PIECE_OF_SIZE = 1 / 16
 
 
@@ -230,13 +230,13 @@ class Faces:
 
 
 def piece_size_m(drone: Drone, camera: Camera, share: float = PIECE_OF_SIZE) -> float:
-    """Return the longest edge [m], a share of the drone, that stays straight in this camera."""
+    """Return the longest edge [m] that stays straight: a share of the size, inf if undistorted."""
     return np.inf if camera.distortion_model == "none" else drone.size_m * share
 
 
 @contextmanager
 def in_memory(n_faces: int) -> Iterator[None]:
-    """Refuse a mesh of so many faces that the memory does not hold."""
+    """Raise SimError, with the mesh's number of faces, when the block runs out of memory."""
     try:
         yield
     except MemoryError as error:
@@ -246,13 +246,13 @@ def in_memory(n_faces: int) -> Iterator[None]:
 
 
 def part_faces(part: Part, piece_m: float) -> Faces:
-    """Return a part's faces, split until no edge is longer than `piece_m`; see `in_memory`."""
+    """Split a part's faces until no edge is longer than `piece_m`; SimError if out of memory."""
     with in_memory(len(part.faces)):
         split: Any = trimesh.remesh.subdivide_to_size
         vertices, faces, index = split(part.vertices_B_m, part.faces, piece_m, return_index=True)
         corners, albedo = vertices[faces], part.albedo[index]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        has_area = length[:, 0] > 0.0  # the others show nothing
+        has_area = length[:, 0] > 0.0  # faces without area show nothing
         shown = (corners[has_area], normals[has_area] / length[has_area], albedo[has_area])
         return Faces(*(values.astype(np.float32) for values in shown))

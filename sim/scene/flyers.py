@@ -1,9 +1,9 @@
 """The drones that are built in code: two quadrotors, a bird and a plane.
 
-What the paper's method takes for granted, that the mean of an object's events is the image of one
-of its points, holds for a small or symmetric object, as the default quadrotor is. The others are
-neither: their greys differ from part to part, and the bird's and the plane's from left to right,
-with the body's origin not in the middle.
+The paper's method assumes that the mean of an object's events is the image of one of its points.
+This holds for a small or symmetric object, such as the default quadrotor. The others are neither:
+their greys differ from part to part; those of the bird and the plane also from left to right, and
+the origin of their bodies is not in the middle.
 """
 
 from functools import lru_cache
@@ -35,11 +35,11 @@ from sim.scene.drone import (
 MOTOR_X, MOTOR_Y = 0.335, 0.29
 ROTOR_RADIUS = 0.165
 BLADE_CHORD, BLADE_THICKNESS = 0.034, 0.008
-BLADE_LENGTH = ((2.0 * ROTOR_RADIUS) ** 2 - BLADE_CHORD**2) ** 0.5  # its corners on the circle
-# In this order neighbours are neighbours, and turn in opposite senses.
+BLADE_LENGTH = ((2.0 * ROTOR_RADIUS) ** 2 - BLADE_CHORD**2) ** 0.5  # corners on the rotor's circle
+# In order around the body: consecutive rotors are neighbours and turn in opposite senses.
 CORNERS = ((1, 1), (1, -1), (-1, -1), (-1, 1))  # signs of x and y
 
-# The default quadrotor's own.
+# Only of the default quadrotor.
 ALBEDO_BLACK = 0.10  # of all of it: black plastic
 BLADE_YAW_RAD = 0.5  # at rest, of the rotor at the front left; the others are its mirror images
 BLADE_Z = 0.033  # on top of the motors
@@ -84,7 +84,7 @@ def _with_rotors(size_m: float, frame: list[Part], rotors: list[Blades], rotor_h
 
 
 def _whole(size_m: float, body: Part, others: list[Part]) -> Drone:
-    """Make a drone of its parts; of one, where none moves."""
+    """Make a drone of its parts, which are joined into a single one if none of them moves."""
     moves = any(part.joint for part in others)
     return Drone((body, *others) if moves else (join([body, *others]),), size_m)
 
@@ -129,7 +129,7 @@ def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
         motor = moved(prism(5, radius=0.033, length=0.075), hub - (0.0, 0.0, 0.04))
         frame += [solid(arm, 0.16), solid(motor, 0.10)]
         albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
-        # No two blades stand alike when at rest.
+        # No two rotors have the same yaw at rest.
         rotors.append((hub, 0.5 + 0.9 * len(rotors), albedo))
     return _with_rotors(size_m, frame, rotors, rotor_hz)
 
@@ -141,7 +141,7 @@ TWO_TONE_SHELL = (
     (0.1, 0.095, -0.055, 0.055),
     (0.21, 0.04, -0.025, 0.015),
 )
-# The others in units of the wing span, which is the size.
+# The bird and the plane are in units of their wing span, which is their size.
 BIRD_BODY = (
     (-0.17, 0.018, -0.008, 0.016),
     (-0.06, 0.05, -0.04, 0.038),
@@ -177,7 +177,7 @@ FIN = (
     (-0.44, 0.0, 0.0, 0.01),
     (-0.45, 0.16, 0.0, 0.006),
     (-0.4, 0.16, 0.0, 0.006),
-)  # before y becomes z
+)  # before the turn about x that takes y to z
 
 SHOULDER = np.array([0.03, 0.035, 0.025])  # about which the left wing flaps
 FLAP_RAD = 0.6  # to either side of level
@@ -260,7 +260,7 @@ DRONES = (*QUADROTORS, "bird", "plane")
 def built_in_drone(
     name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
 ) -> Drone:
-    """Build one of `DRONES`, by default of 0.65 m; SimError for what makes no sense."""
+    """Build one of `DRONES`, by default of 0.65 m; SimError for an invalid size or rate."""
     size_m = DEFAULT_SIZE_M if size_m is None else size_m
     check_size(size_m)
     if name in QUADROTORS:

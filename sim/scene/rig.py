@@ -134,7 +134,7 @@ def _cone_rays(angles_rad: FloatArray) -> FloatArray:
     return rays
 
 
-# The authors' public sample.
+# Camera and distance of the authors' public sample.
 DISTANCE_M = 5.0
 FOCAL_PX = 200.0
 RESOLUTION = (346, 260)  # width, height [px]
@@ -208,14 +208,14 @@ def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
 
 
 Known = list[tuple[FloatArray, FloatArray]]
-"""Of each camera K (3, 3) and the deviations (4,) of fu, fv, pu and pv [px] that are stated."""
+"""For each camera, K (3, 3) and the stated standard deviations (4,) of fu, fv, pu and pv [px]."""
 
 
 def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> str:
-    """Write a rig as a Kalibr camchain: cam0 is our camera 1, cam1 our camera 2, ...
+    """Return a rig as the text of a Kalibr camchain: cam0 is our camera 1, cam1 our camera 2, ...
 
-    Neither clock offsets are written nor, unless asked for, the extrinsics (`T_cn_cnm1`: previous
-    camera to this one): an estimator has to find them. `known` is by default the true intrinsics.
+    It has no clock offsets and, unless asked for, no extrinsics (`T_cn_cnm1`: previous camera to
+    this one), as an estimator has to find them. `known` is by default the true intrinsics.
     """
     chain: dict[str, dict[str, object]] = {}
     for n, camera in enumerate(rig.cameras):
@@ -237,11 +237,11 @@ def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> 
 
 def _look_at_origin(angle_deg: float, distance_m: float) -> FloatArray:
     """Return T_C_W of a camera at (0, -distance_m, 0), looking at the origin, turned about z."""
-    # Across is the world's x, down its -z, and forward its y.
+    # At 0 deg the camera's x is the world's x, its y the world's -z, and its z the world's y.
     T_C0_W = np.eye(4)[[0, 2, 1, 3]]
     T_C0_W[1, 2], T_C0_W[2, 3] = -1.0, distance_m
     cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
-    # Undoes the turn: the camera turned by +angle sees the world turned by -angle.
+    # A camera turned by +angle sees the world turned by -angle.
     T_W0_W = np.eye(4)
     T_W0_W[:2, :2] = [[cos, sin], [-sin, cos]]
     T_C_W: FloatArray = T_C0_W @ T_W0_W

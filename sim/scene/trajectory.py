@@ -23,11 +23,11 @@ from sim.errors import SimError, check_numbers
 Vector3 = tuple[float, float, float]
 Attitude = Callable[[FloatArray], Rotation]
 
-MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
+MAX_DRAWS = 100  # of a random trajectory, before its configuration is refused
 # Segments of a spline, 400 s by default, beyond which dense matrices take gigabytes, and hardly a
-# trajectory stays near the origin from end to end. Shorter ones keep to what they always were.
+# trajectory stays near the origin from end to end. Longer splines use sparse matrices.
 LONG_SEGMENTS = 2000
-_REDRAWN_S = 1.0  # of a long trajectory, on each side of where it leaves the circle
+_REDRAWN_S = 1.0  # time redrawn on each side of where a long trajectory leaves the circle
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,13 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class PosesAt:
-    """Poses at many times, in place of an array (n, 4, 4): made for those that are asked for."""
+    """Poses at many times, indexed like an array (n, 4, 4) but computed on demand."""
 
     trajectory: Trajectory
     times_s: FloatArray  # (n,) [s]
 
     def __getitem__(self, which: slice | IntArray) -> FloatArray:
-        """Return T_W_B at the chosen ones of the times."""
+        """Return T_W_B (m, 4, 4) at the m chosen times."""
         return self.trajectory.poses(self.times_s[which])
 
 
@@ -111,8 +111,8 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     [-1, 1] at regular times, times its multiplier, plus its offset, and smoothed by a B-spline.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn again
-    (one in six by default); of one with more than `LONG_SEGMENTS` segments, only the part about
-    where it leaves. SimError when none of MAX_DRAWS trajectories stays within the circle.
+    (one in six by default); if it has more than `LONG_SEGMENTS` segments, only near where it
+    leaves. SimError when none of MAX_DRAWS trajectories stays within the circle.
     """
     n_poses = round(config.duration_s * config.sampling_hz)
     times_s: FloatArray = np.linspace(0.0, config.duration_s, n_poses, dtype=np.float64)
@@ -143,7 +143,7 @@ def _attitude(rotation_vector: BSpline) -> Attitude:
 
 
 def _near(some_s: FloatArray, times_s: FloatArray) -> NDArray[np.bool_]:
-    """Mark the regular times (n,) from 0 on that are within _REDRAWN_S of any of some others."""
+    """Mark the regular times (n,), from 0 on, that lie within _REDRAWN_S of any of `some_s`."""
     step_s = times_s[1]
     reach = int(np.ceil(_REDRAWN_S / step_s))
     nearest = np.rint(some_s / step_s).astype(np.int64)
@@ -186,7 +186,7 @@ def _solved_sparse(
     nodes_s: FloatArray,
     weights: FloatArray,
 ) -> FloatArray:
-    """Give the spline's coefficients by sparse matrices: time and memory linear in its length."""
+    """Solve for the coefficients by sparse matrices: time and memory linear in the duration."""
     n = len(knots) - degree - 1  # coefficients
     design: Any = BSpline.design_matrix(times_s, knots, degree, extrapolate=True)
     # The second derivative is a spline of degree - 2, whose coefficients are second differences.
@@ -237,9 +237,9 @@ def trajectory_from_csv(path: Path) -> Trajectory:
 
 
 def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> None:
-    """Write a trajectory in the format that `trajectory_from_csv` reads, over what is there.
+    """Write a trajectory in the format that `trajectory_from_csv` reads, over any existing file.
 
-    There are `rate_hz` rows per second, at least; both ends of the trajectory are rows.
+    There are at least `rate_hz` rows per second; both ends of the trajectory are rows.
     """
     n_rows = max(MIN_CSV_ROWS, int(np.ceil(trajectory.duration_s * rate_hz)) + 1)
     times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_rows, dtype=np.float64)
@@ -253,7 +253,7 @@ def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> Non
 def _read_table(path: Path) -> tuple[list[int], FloatArray]:
     """Return the line number of each data row and the (n, 8) table in the order of CSV_COLUMNS."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")  # spreadsheets begin with a mark
+        text = Path(path).read_text(encoding="utf-8-sig")  # spreadsheets write a byte-order mark
     except (OSError, UnicodeDecodeError) as error:
         raise SimError(f"cannot read the trajectory {path}: {error}") from error
     lines = enumerate((line.split("#")[0] for line in text.splitlines()), start=1)

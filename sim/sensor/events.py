@@ -1,9 +1,9 @@
 """The contrast-threshold model of an event camera, with noise.
 
-L = log(I + eps) is the signal of a pixel. It emits an event whenever L has moved by C+ or C- from
-the level that it memorised at its last one, and then memorises anew. Between two instants I, not L,
-is linear in time: the area of a pixel that a moving edge covers grows linearly, so the crossing has
-a closed form, and the comparison of each pixel needs no logarithm.
+L = log(I + eps) is the signal of a pixel. The pixel emits an event whenever L has moved by C+ or C-
+from the level that it memorised at its last event, and then memorises anew. Between two instants I,
+not L, is linear in time, as the area of a pixel that a moving edge covers grows linearly. So the
+threshold crossing has a closed form, and comparing a pixel with its thresholds needs no logarithm.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ from sim.sensor.kernels import (
 )
 
 MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
-HOT_SPREAD = 0.7  # of the logarithm of a hot pixel's rate, over pixels
+HOT_SPREAD = 0.7  # standard deviation of the logarithm of a hot pixel's rate, over pixels
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class SensorConfig:
 
     @property
     def is_ideal_in_time(self) -> bool:
-        """Whether nothing but a change of light makes a pixel act."""
+        """Whether pixels respond to light alone, without temporal noise or refractory period."""
         noise_hz = self.leak_hz + self.shot_noise_hz + self.background_hz
         return not (noise_hz or self.refractory_s or self.hot_pixel_share)
 
@@ -69,10 +69,10 @@ PRESETS = {
 
 
 class Sensor:
-    """The pixels of one camera and what each remembers.
+    """The pixels of one camera, with the level that each memorises.
 
-    They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], from which no
-    event comes. `rng` draws mismatch and noise: the same state gives the same events, however the
+    They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], which causes no
+    events. `rng` draws mismatch and noise: the same state of it gives the same events, however the
     recording is cut into crops. `background` surrounds the crops.
     """
 
@@ -106,7 +106,7 @@ class Sensor:
         self._noise = None if config.is_ideal_in_time else self._start_noise(time_s, rng)
 
     def _start_noise(self, time_s: float, rng: np.random.Generator) -> NDArray[Any]:
-        """Draw what each pixel's noise starts from."""
+        """Draw the initial noise state of each pixel."""
         config, shape = self.config, self._reference.shape
         noise = np.zeros(shape, NOISE_STATE_DTYPE)
         noise["time_s"] = time_s
@@ -121,14 +121,14 @@ class Sensor:
         with np.errstate(divide="ignore"):
             noise["next_s"] = time_s + rng.standard_exponential(shape) / rate_hz
         if config.leak_hz:
-            # The pixels have leaked for long: each is somewhere between two of its leak events.
+            # The pixels have leaked for long: each starts anywhere between two of its leak events.
             self._reference *= self._up ** -rng.random(shape)
         return noise
 
     def feed(
         self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
     ) -> None:
-        """Take the next instants (n,) [s], increasing: crops, with the background around them.
+        """Take the next instants (n,) [s], increasing, as crops with the background around them.
 
         The crops (n, height, width) lie wholly within the image and start at columns and rows (n,).
         """
@@ -146,9 +146,9 @@ class Sensor:
         self._time_s = float(times_s[-1])
 
     def take_settled(self) -> NDArray[Any]:
-        """Return, and forget, the events that no later one comes before, sorted as by `finish`.
+        """Remove and return the events that no later event precedes, sorted as by `finish`.
 
-        None where pixels act by themselves: one that is left alone tells later what it did.
+        Empty for pixels with temporal noise or effects: a skipped pixel's events are found later.
         """
         if self._noise is not None:
             return np.empty(0, EVENT_DTYPE)
@@ -175,10 +175,10 @@ def events_from_frames(
 ) -> NDArray[Any]:
     """Turn a stack of frames, a user's own video for instance, into events, sorted by time.
 
-    Frames (n, height, width) are floating point in [0, 1], or unsigned integers of full scale 1, of
-    linear light: undo a video's gamma first. Times (n,) [s] increase. `rng` is by default seeded
-    with 0. SimError for shapes that do not fit, times that do not increase, fewer than 2 frames, or
-    values outside [0, 1] or not finite.
+    Frames (n, height, width) of linear light (undo a video's gamma first) are floating point in
+    [0, 1], or unsigned integers whose largest value stands for 1. Times (n,) [s] increase. `rng`
+    is by default seeded with 0. SimError for shapes that do not fit, times that do not increase,
+    fewer than 2 frames, or values outside [0, 1] or not finite.
     """
     times_s = np.asarray(times_s, np.float64)
     if frames.ndim != 3 or times_s.shape != frames.shape[:1] or len(times_s) < 2:
@@ -219,11 +219,11 @@ def slow_events(
     of_memory: np.random.Generator,
     of_pixels: np.random.Generator,
 ) -> NDArray[Any]:
-    """Let pixels without noise follow a light that they have seen for long; events by time.
+    """Return, by time, the events of pixels without temporal noise under slowly changing light.
 
     `first` is the luminance (height, width) in [0, 1] at time 0, `batches` are later times (n,) [s]
-    and luminance (n, height, width). Of the config, only the thresholds count. `of_memory` draws
-    the level that each pixel remembers, `of_pixels` the thresholds' mismatch.
+    and luminance (n, height, width). Of the config, thresholds, mismatch and `log_eps` count.
+    `of_memory` draws each pixel's memorised level, `of_pixels` the mismatch.
     """
     phases = of_memory.uniform(-0.95, 0.95, first.shape)
     threshold = min(config.threshold_on, config.threshold_off)

@@ -1,4 +1,4 @@
-"""Intensity frames, which are exposed for a while."""
+"""Intensity frames: the mean light of each pixel over an exposure."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from sim.errors import SimError, check_numbers
 
 @dataclass(frozen=True)
 class FrameConfig:
-    """The frame side of a camera like the DAVIS346."""
+    """Rate and exposure of the intensity frames of a camera like the DAVIS346."""
 
     rate_hz: float = 50.0  # 0: no frames
     exposure_s: float = 0.005  # [s]
@@ -37,14 +37,14 @@ class Frames:
 
 
 TakeFrame = Callable[[int, NDArray[np.uint8]], None]
-"""Takes frame k; the array (height, width) is the caller's, and changes afterwards."""
+"""Takes frame k; the caller reuses the array (height, width) afterwards."""
 
 
 class FrameExposer:
-    """Integrates the light of each pixel over each exposure, so that what moves is blurred.
+    """Integrates the light of each pixel over each exposure, so that moving objects are blurred.
 
-    `background` (height, width) surrounds the crops. `take` is given as many frames as
-    `frame_times_us` has, each when its exposure closes; the first exposure begins at `start_s`.
+    `background` (height, width) surrounds the crops. `take` gets each of the `n_frames` frames, as
+    many as `frame_times_us` has, when its exposure closes; the first begins at `start_s`.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class FrameExposer:
     def feed(
         self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
     ) -> None:
-        """Take the next instants: crops of the image, the background around them.
+        """Take the next instants, as crops of the image with the background around them.
 
         Shapes as for `sim.sensor.events.Sensor.feed`. Between instants light is linear in time.
         """
@@ -88,7 +88,7 @@ class FrameExposer:
         self._last = float(times_s[-1]), int(x0_px[-1]), int(y0_px[-1]), luminance[-1].copy()
 
     def finish(self) -> None:
-        """Close what is left; what follows the last instant is background."""
+        """Close the remaining frames; after the last instant the image is the background."""
         while self._open < self._n_frames:
             self._close()
 
@@ -99,7 +99,7 @@ class FrameExposer:
 
 
 def frame_times_us(config: FrameConfig, duration_s: float, start_s: float = 0.0) -> IntArray:
-    """Middle of each exposure [us], (n,), of frames exposed wholly within the duration.
+    """Return the middle (n,) [us] of each exposure that lies wholly within the duration.
 
     Frame k is exposed from start_s + k / rate on.
     """
@@ -114,7 +114,7 @@ def _expose(
     first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
     start_s, exposure_s, total,
 ):  # fmt: skip
-    """Add the light of the open exposure, from the interval before instant `first` on."""
+    """Add the light of the open exposure, beginning with the interval that ends at `first`."""
     end_s = start_s + exposure_s
     for k in range(first, times_s.size):
         if k > 0:
@@ -146,7 +146,7 @@ def _add(total, crop, x0, y0, background, weight):
 
 @njit(cache=True, nogil=True)
 def _develop(total, background, image):
-    """Write the image of all the light of an exposure, and start anew."""
+    """Write the image of the light summed over an exposure, and clear the sum."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             light = min(max(background[y, x] + total[y, x], np.float32(0.0)), np.float32(1.0))

@@ -15,7 +15,7 @@ _EMITTED = np.dtype([("t_s", "f8"), ("x", "u2"), ("y", "u2"), ("p", "u1")], alig
 
 
 class EventBuffer:
-    """Events as they are emitted."""
+    """A growing buffer of events in the order of their emission."""
 
     def __init__(self) -> None:
         self.events, self.n = np.empty(1 << 16, _EMITTED), 0
@@ -25,7 +25,7 @@ class EventBuffer:
         self.events, self.n = kernel(*arguments, self.events, self.n)
 
     def take(self, before_us: float, width: int, height: int) -> NDArray[Any]:
-        """Take out the events before a time [us], infinity for all, of an image of a size [px].
+        """Remove and return the events before a time [us], infinity for all; sizes are in [px].
 
         They are sorted by time, then row, column and order of emission.
         """
@@ -37,7 +37,7 @@ class EventBuffer:
 
 @njit(cache=True, nogil=True)
 def grown(events: NDArray[Any]) -> NDArray[Any]:
-    """Twice the room for events."""
+    """Return a copy of the events with twice the room."""
     more = np.empty(2 * events.size, events.dtype)
     more[: events.size] = events
     return more
@@ -61,7 +61,7 @@ def _move_out(events, n, before_us, width, height, taken, key):
 
 
 def _stable_order(key: IntArray) -> IntArray:
-    """Do what a stable `np.argsort` does, twice as fast where key and index fit one number."""
+    """Sort like a stable `np.argsort`, but twice as fast where key and index fit one integer."""
     bits = len(key).bit_length()
     if not len(key) or int(np.ptp(key)) >> (63 - bits):
         return np.argsort(key, kind="stable")
@@ -78,7 +78,7 @@ NOISE_STATE_DTYPE = np.dtype(
         ("random", "u8"),  # state of its own random numbers
     ]
 )
-SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
+SHOT_NOISE_DROP = 0.75  # share of the dark rate that is missing at full light (as in v2e)
 
 
 @njit(cache=True, nogil=True)
@@ -86,7 +86,7 @@ def process_ideal(
     times_s, x0_px, y0_px, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
-    """Follow pixels that act on light alone; see `sim.sensor.events.Sensor.feed`."""
+    """Follow pixels that respond to light alone; see `sim.sensor.events.Sensor.feed`."""
     k = 0
     while True:
         k, time_s, n = _follow_light(
@@ -105,9 +105,9 @@ def _follow_light(
     first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
-    """Follow pixels from instant `first` on, all arrays flat, until the room for events ends."""
-    # Returns the instant at which it did, the time [s] up to which all pixels were followed, and
-    # the number of events: taken up again there, it goes on as if nothing had been.
+    """Follow pixels from instant `first` on, all arrays flat, until the event buffer is full."""
+    # Returns the instant at which the buffer is full, the time [s] up to which all pixels were
+    # followed, and the number of events. A call from there, with more room, continues seamlessly.
     row = np.empty(image_width, np.float32)
     found = np.empty(image_width + 1, np.int64)
     for k in range(first, times_s.size):
@@ -116,7 +116,7 @@ def _follow_light(
         cx1, cy1 = cx0 + width, cy0 + height
         for y in range(min(cy0, box[1]), max(cy1, box[3])):
             in_crop = cy0 <= y < cy1
-            # What lies between box and crop, if anything does, is and stays background.
+            # Pixels between box and crop, if there are any, are background before and after.
             x0, x1 = image_width, np.int64(0)
             if box[1] <= y < box[3]:
                 x0, x1 = box[0], box[2]
@@ -151,7 +151,7 @@ def _follow_light(
                         return k, time_s, n
                     polarity = i1 > above
                     memory *= step_up if polarity else step_down
-                    # At this intensity the threshold is crossed.
+                    # The intensity at which the threshold is crossed.
                     crossing = memory - eps
                     e = np.uint64(n)
                     events[e].t_s = min(max(t0 + (crossing - i0) * per_s, t0), t1)
@@ -173,7 +173,7 @@ def process_noisy(
     image, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     events, n,
 ):  # fmt: skip
-    """Follow pixels that also leak, fire by themselves and rest after an event."""
+    """Follow pixels that also leak, emit noise events and have a refractory period."""
     height, width = luminance.shape[1:]
     for k in range(times_s.size):
         cx0, cy0 = x0_px[k], y0_px[k]
@@ -183,7 +183,7 @@ def process_noisy(
                 in_crop = cy0 <= y < cy1 and cx0 <= x < cx1
                 light = luminance[k, y - cy0, x - cx0] if in_crop else background[y, x]
                 value = np.float64(light)
-                # A pixel left alone since has seen one and the same light until now.
+                # First the constant light since the pixel was last followed, then the interval.
                 for part in range(2):
                     end = time_s if part == 0 else times_s[k]
                     t0 = noise[y, x].time_s
@@ -192,7 +192,7 @@ def process_noisy(
                     i0 = np.float64(image[y, x])
                     i1 = i0 if part == 0 else value
                     noise[y, x].time_s = end
-                    # Most pixels stay quiet; the rest is for those that do not.
+                    # Most pixels emit no event; only the others need `_follow`.
                     level = reference[y, x] * decay(noise[y, x].leak_per_s * (end - t0))
                     if (
                         level * down[y, x] <= i1 + eps <= level * up[y, x]
@@ -231,7 +231,7 @@ def _follow(
         crossing_s, polarity = _next_crossing(
             t, t1, i0 + slope * (t - t0), i1, level, up[y, x], down[y, x], leak, eps
         )
-        while state.next_s < t:  # those due during the dead time are lost
+        while state.next_s < t:  # noise due during the dead time is lost
             state.next_s += _waiting_time(state, shot_hz, background_hz)
         event_s = min(crossing_s, state.next_s)
         if event_s > t1:
@@ -274,8 +274,8 @@ def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):
         if not passed:
             continue
         if light == light_1:
-            # Only the memory moves, exponentially; only an ON threshold can come closer. Without a
-            # leak, light on the threshold was within it just before, by rounding.
+            # Only the memorised level moves: it decays, so only the ON threshold can come closer.
+            # Without a leak, light passes the threshold by rounding alone.
             distance = np.log(level * step / (light + eps))
             return t + (max(0.0, distance / leak) if leak > 0.0 else 0.0), polarity
         share = (at_0 - light) / ((light_1 - light) - (at_1 - at_0))

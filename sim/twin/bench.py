@@ -1,7 +1,7 @@
 """The bench of the paper's small-scale experiment: a printed drone on a wire before two cameras.
 
-The cameras are half a metre from the drone. What stays the same in all recordings of a set-up, as
-the cameras' places and lenses and the walls behind, is drawn by the set-up's own seed; a
+The cameras are half a metre from the drone. What stays the same in all recordings of a set-up, such
+as the cameras' attitudes and lenses and the walls behind, is drawn by the set-up's own seed; a
 recording's seed draws the motion.
 """
 
@@ -23,7 +23,7 @@ from sim.sensor.frames import FrameConfig
 from sim.twin.pendulum import Hanging, PendulumConfig, hanging
 
 SIZE_M = 0.03  # of the paper's model, 3 x 3 x 1 cm
-HEIGHT = 1.0 / 3.0  # of the size, from the feet to the eye that it hangs from
+HEIGHT = 1.0 / 3.0  # share of the size, from the feet to the eye by which the model hangs
 ALBEDO = 0.08  # of dark grey filament
 
 # In units of the size; a disc stands for a rotor, as printed blades would break.
@@ -36,7 +36,7 @@ _FOOT_RADIUS, _EYE_RADIUS = 0.03, 0.05
 def printed(size_m: float = SIZE_M) -> Drone:
     """Build the model: body, canopy, four arms with discs and feet, and the eye on top.
 
-    It is one part; its origin is the middle of its bounding box, its size length and width [m].
+    It is one part. Its origin is the middle of its bounding box; its size [m] is length and width.
     """
     check_size(size_m)
     eye = prism(6, _EYE_RADIUS, 0.5 * HEIGHT - 0.09)
@@ -71,11 +71,11 @@ def _arm(corner: FloatArray) -> list[trimesh.Trimesh]:
 
 
 MEAN_LUMINANCE = 0.4
-SPOTS_PX = (6, 12, 24, 48)  # of the plaster, from fine to coarse
-SPOTS_STD = 0.12  # of the logarithm
-N_THINGS = 9  # posters, shelves, cables and sockets on it
-THINGS_STD = 0.35  # of the logarithm of how bright they are beside the wall
-DEFOCUS_PX = 2.0  # deviation of the Gauss that blurs what is far behind the focus
+SPOTS_PX = (6, 12, 24, 48)  # grain of the plaster, from fine to coarse
+SPOTS_STD = 0.12  # of the plaster's log luminance
+N_THINGS = 9  # posters, shelves, cables and sockets on the wall
+THINGS_STD = 0.35  # of the logarithm of their luminance over the wall's
+DEFOCUS_PX = 2.0  # deviation of the Gaussian that blurs what lies far behind the focus
 _LOW, _HIGH = 0.05, 0.95
 
 
@@ -110,8 +110,8 @@ def _spots(width: int, height: int, rng: np.random.Generator) -> FloatArray:
 
 FOCAL_PX = 300.0  # a lens of 5.5 mm over pixels of 18.5 um
 DISTORTION = (-0.35, 0.13, 5e-4, -3e-4)  # of such a lens: k1, k2, p1, p2
-_FOCAL_STD, _CENTRE_STD_PX, _DISTORTION_STD = 0.01, 3.0, 0.01  # of the lenses of a series
-_AIM_STD_DEG = 2.0  # of a camera's attitude about each axis, put up by hand
+_FOCAL_STD, _CENTRE_STD_PX, _DISTORTION_STD = 0.01, 3.0, 0.01  # over the lenses of a series
+_AIM_STD_DEG = 2.0  # of the roll of a camera that is put up by hand
 
 # Branches of the seeds, beside those of `sim.recording` and `sim.disturb`.
 _MOTION_STREAM, _CAMERA_STREAM, _WALL_STREAM = 30, 31, 32
@@ -119,13 +119,13 @@ _MOTION_STREAM, _CAMERA_STREAM, _WALL_STREAM = 30, 31, 32
 
 @dataclass(frozen=True)
 class TwinConfig(SimConfig):
-    """A recording on the bench; `spline` gives its duration alone."""
+    """A recording on the bench; of `spline`, only the duration counts."""
 
     frames: FrameConfig = field(default_factory=lambda: FrameConfig(25.0, 0.01))
     focal_px: float = FOCAL_PX
     distortion_model: str = "radtan"
     distortion_coeffs: tuple[float, ...] = DISTORTION
-    distances_m: tuple[float, float] = (0.45, 0.5)  # of the cameras from what they look at
+    distances_m: tuple[float, float] = (0.45, 0.5)  # of the cameras from the point they look at
     setup_seed: int = 0
     pendulum: PendulumConfig = field(default_factory=PendulumConfig)
     textured: bool = True  # walls behind; else an even grey
@@ -155,16 +155,16 @@ class TwinConfig(SimConfig):
 
 
 def hanging_of(config: TwinConfig, seed: int) -> Hanging:
-    """Draw the motion of a recording."""
+    """Draw the motion of the model in the recording of a seed."""
     rng = generator(seed, _MOTION_STREAM)
     return hanging(config.pendulum, config.spline.duration_s, rng)
 
 
 def bench_rig(config: TwinConfig) -> Rig:
-    """Put up the cameras of a set-up: none is quite where it should be, and no lens like another.
+    """Put up the cameras of a set-up, with random errors of roll and of the lenses.
 
-    The lines of sight are `angle_deg` apart all the same, as that is what was measured: a camera
-    is turned about the point that it looks at, not about itself, but for its roll.
+    The lines of sight are exactly `angle_deg` apart, as that is what was measured: each camera
+    looks at the origin, at its own distance of `distances_m`.
     """
     rng = generator(config.setup_seed, _CAMERA_STREAM)
     ideal = two_view_rig_of(config).cameras

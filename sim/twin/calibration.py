@@ -1,7 +1,7 @@
 """Zhang's calibration of a rig from views of a chessboard.
 
-The board's corners are projected, not drawn: a corner detector's error stands for all else. OpenCV
-then calibrates each camera by itself, and the pose of both from views that they share.
+The board's corners are projected, not rendered, and a corner detector's error is added. OpenCV then
+calibrates each camera by itself, and finds the relative pose from views that both share.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,8 +17,8 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError, check_numbers
 from sim.scene.rig import Camera, Rig
 
-MAX_TRIES = 20_000  # of places for the board, before the set-up is blamed
-MIN_COSINE = 0.17  # of the angle at which a camera sees the board: flatter, no corner is found
+MAX_TRIES = 20_000  # of places for the board, before the set-up is refused
+MIN_COSINE = 0.17  # of the angle from the board's normal to a camera: beyond, no corner is found
 
 _MARGIN_PX = 4.0  # a corner nearer to the border is not found
 
@@ -27,15 +27,15 @@ _MARGIN_PX = 4.0  # a corner nearer to the border is not found
 class CalibrationConfig:
     """How a bench is calibrated (Zhang, A flexible new technique, PAMI 2000)."""
 
-    corners: tuple[int, int] = (9, 6)  # of the board, inner ones
+    corners: tuple[int, int] = (9, 6)  # inner corners of the board, along its two sides
     square_m: float = 0.025
     n_views: int = 30  # of each camera by itself
-    n_shared: int = 20  # of both at once
-    corner_std_px: float = 0.1  # of each found corner, in each direction
+    n_shared: int = 20  # of both cameras at once
+    corner_std_px: float = 0.1  # of each detected corner, in each direction
     distance_m: tuple[float, float] = (0.35, 0.7)  # of the board from a camera by itself
     max_tilt_deg: float = 45.0  # of the board against a camera by itself
     shared_tilt_deg: float = 15.0  # deviation about each axis, from facing both cameras alike
-    shared_m: float = 0.05  # deviation of the board's places from what both cameras look at
+    shared_m: float = 0.05  # deviation of the board's places from the point both cameras look at
 
     def __post_init__(self) -> None:
         if min(self.corners) < 3 or min(self.n_views, self.n_shared) < 3:
@@ -48,23 +48,23 @@ class CalibrationConfig:
 
 @dataclass(frozen=True)
 class CalibratedCamera:
-    """Intrinsics as they were found."""
+    """Intrinsics as a calibration finds them."""
 
     K: FloatArray  # (3, 3) [px]
     distortion_coeffs: tuple[float, ...]  # of the camera's own model
-    intrinsics_std_px: tuple[float, float, float, float]  # stated, of fu, fv, pu, pv
-    rms_px: float  # of the corners
+    intrinsics_std_px: tuple[float, float, float, float]  # stated deviations of fu, fv, pu, pv
+    rms_px: float  # of the corners' reprojection errors
 
 
 def exact(camera: Camera) -> CalibratedCamera:
-    """Give a camera's true intrinsics."""
+    """Return a camera's true intrinsics, with deviations of 0."""
     return CalibratedCamera(camera.K, camera.distortion_coeffs, (0.0, 0.0, 0.0, 0.0), 0.0)
 
 
 def calibrated_camera(
     camera: Camera, config: CalibrationConfig, rng: np.random.Generator
 ) -> CalibratedCamera:
-    """Calibrate a camera of the model "radtan" or "none" by itself; SimError if it cannot be."""
+    """Calibrate a "radtan" or "none" camera by itself; SimError if too few views are found."""
     board = _board(config)
     views = _own_views(camera, board, config, rng)
     corners = [_found(camera, points, config, rng) for points in views]
@@ -74,8 +74,8 @@ def calibrated_camera(
     K: Any = None
     coeffs: Any = None
     with _one_thread():
-        # Twice: where the first finds a flat board's other, mirrored pose in a view and stays
-        # there, the second places each board anew by the intrinsics that were found.
+        # Twice: the first run may stay at the mirrored pose of a flat board in some view; the
+        # second run initialises every board's pose anew from the intrinsics of the first.
         for start in (0, cv2.CALIB_USE_INTRINSIC_GUESS):
             rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
                 [board.astype(np.float32)] * len(views),
@@ -100,7 +100,7 @@ def calibrated_pose(
 ) -> FloatArray:
     """Find T_2_1 (4, 4), camera 1 [m] to camera 2 [m], from views that both cameras share.
 
-    The two look at the world's origin. Their intrinsics stay as they are known.
+    Both cameras look at the world's origin. The intrinsics in `cameras` are held fixed.
     """
     board = _board(config)
     seen = _shared_views(rig, board, config, rng)
@@ -126,7 +126,7 @@ _STOP = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let OpenCV add up in one order: several threads differ in the last digits."""
+    """Make OpenCV sum in a fixed order: with several threads the last digits vary."""
     n_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -136,7 +136,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _board(config: CalibrationConfig) -> FloatArray:
-    """Corners (n, 3) [m] on the plane z = 0 of the board, about its middle."""
+    """Return the board's corners (n, 3) [m] in its plane z = 0, about its middle."""
     columns, rows = config.corners
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     flat = config.square_m * (grid - 0.5 * np.array([columns - 1, rows - 1]))
@@ -161,7 +161,7 @@ def _views(n: int, draw: Callable[[], FloatArray | None], camera: Camera) -> lis
 def _own_views(
     camera: Camera, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
 ) -> list[FloatArray]:
-    """Hold the board before one camera."""
+    """Draw places of the board that one camera sees."""
     T_W_C = np.linalg.inv(camera.T_C_W)
     half = 0.5 * np.array([camera.width, camera.height]) / camera.K[0, 0]
 
@@ -182,7 +182,7 @@ def _own_views(
 def _shared_views(
     rig: Rig, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
 ) -> list[FloatArray]:
-    """Hold the board so that both cameras see it, its normal about midway between them."""
+    """Draw places of the board that both cameras see, its normal about midway between them."""
     centres = [-camera.T_C_W[:3, :3].T @ camera.T_C_W[:3, 3] for camera in rig.cameras]
     towards = sum(centre / np.linalg.norm(centre) for centre in centres)
     # The board's z points away from the cameras, its y down.
@@ -213,7 +213,7 @@ def _is_seen(camera: Camera, points_W: FloatArray) -> bool:
 def _found(
     camera: Camera, points_W: FloatArray, config: CalibrationConfig, rng: np.random.Generator
 ) -> Float32Array:
-    """Find the corners (n, 1, 2) [px] of a view."""
+    """Return the detected corners (n, 1, 2) [px] of a view, with their errors."""
     pixels = camera.project(points_W)
     pixels = pixels + config.corner_std_px * rng.standard_normal(pixels.shape)
     return pixels.astype(np.float32)[:, None]

@@ -1,7 +1,7 @@
-"""The motion of what hangs on a wire from a moving hand.
+"""The motion of a body that hangs on a wire from a moving hand.
 
 The wire is straight and of constant length, without mass; the body hangs along it, turns about it
-and rocks a little. The hand draws a random smooth path. Frames as in `sim.scene.trajectory`.
+and rocks a little. The hand follows a random smooth path. Frames as in `sim.scene.trajectory`.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from sim.errors import SimError, check_numbers
 from sim.scene.trajectory import MAX_DRAWS, Attitude, Trajectory, Vector3
 
 GRAVITY_M_S2 = 9.81
-STEPS_HZ = 500.0  # of the solution: a swing takes a second
-_N_WAVES = 3  # that a twist or a rocking is the sum of
+STEPS_HZ = 500.0  # integration steps per second: a swing takes a second
+_N_WAVES = 3  # sines that add up to a twist or a rocking
 _SPREAD = 0.3  # of their frequencies, as a share
 
 Waves = Callable[[FloatArray], FloatArray]  # (n,) [s] -> an angle (n,) [rad]
@@ -30,12 +30,12 @@ class PendulumConfig:
 
     length_m: float = 1.0  # of the wire: the shorter, the more the model tilts where it swings
     damping_per_s: float = 0.15  # of the swing, by the air
-    start_rad: float = 0.15  # deviation of both components of the first deflection
-    hand_m: Vector3 = (0.05, 0.05, 0.18)  # of the hand's random places; it swings, but must lift
+    start_rad: float = 0.15  # deviation of both components of the initial deflection
+    hand_m: Vector3 = (0.05, 0.05, 0.18)  # half range of its random places; only the hand lifts
     hand_hz: float = 2.0  # random places per second, on a smooth curve
-    twist_hz: float = 0.3  # about the wire
+    twist_hz: float = 0.3  # of the body's turning about the wire
     twist_rad: float = 1.2  # deviation
-    rocking_hz: float = 5.0  # of the body about where the wire holds it
+    rocking_hz: float = 5.0  # of the body's rocking about its x and y axes
     rocking_rad: float = 0.05  # deviation
     max_radius_m: float = 0.22  # of the model from the point that the cameras look at
 
@@ -59,9 +59,9 @@ class Hanging:
 
 
 def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging:
-    """Draw the motion of a hanging body, within `max_radius_m` of the origin, the wire taut.
+    """Draw the motion of a hanging body that stays within `max_radius_m`, on a taut wire.
 
-    SimError when none of MAX_DRAWS motions is so.
+    The radius is about the origin. SimError when none of MAX_DRAWS motions meets both conditions.
     """
     for _ in range(MAX_DRAWS):
         drawn = _draw(config, duration_s, rng)
@@ -75,7 +75,7 @@ def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator)
 
 @njit(cache=True, nogil=True)
 def _rate(length: float, damping: float, hand: FloatArray, state: FloatArray) -> FloatArray:
-    """Give the derivative (6,) of q and q'."""
+    """Return the time derivative (6,) of q and q'."""
     q, dq = state[:3], state[3:]
     pull = -hand
     pull[2] -= GRAVITY_M_S2
@@ -93,9 +93,9 @@ def swing(
     """Solve the motion of a point that hangs on a straight wire from a moving hand.
 
     With q the unit vector along the wire, a the hand's acceleration (2 n + 1, 3) [m/s^2], at every
-    half step, and g gravity's, q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge
-    and Kutta's fourth order. `start` (6,) has q and q' [1/s]; returns both after every step, (n +
-    1, 6).
+    half step, and g gravity's, q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by the
+    fourth-order Runge-Kutta method. `start` (6,) has q and q' [1/s]; returns q and q' at the start
+    and after every step, (n + 1, 6).
     """
     n = hand_m_s2.shape[0] // 2
     states = np.empty((n + 1, 6))
@@ -118,7 +118,7 @@ def _draw(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -
     places_s = np.arange(n_places) / config.hand_hz - 1.5 / config.hand_hz  # around the recording
     above_m = np.array([0.0, 0.0, config.length_m])
     places_m = above_m + rng.uniform(-1.0, 1.0, (n_places, 3)) * config.hand_m
-    # As control points of a curve, not points on it, they make a smooth path.
+    # The places are control points of the spline, not points on it, for a smooth path.
     hand = BSpline(make_interp_spline(places_s, places_m, k=3).t, places_m, 3)
     tilt_rad = config.start_rad * rng.standard_normal(2)
     q = np.array([np.sin(tilt_rad[0]), np.sin(tilt_rad[1]), -1.0])
@@ -157,12 +157,12 @@ def _waves(rate_hz: float, deviation: float, rng: np.random.Generator) -> Waves:
 
 
 def _attitude(wire: CubicSpline, waves: list[Waves]) -> Attitude:
-    """Upright along the wire, turned about it, and rocking about the body's x and y."""
+    """Return the attitude: up along the wire, turned about it, rocking about the body's x and y."""
 
     def rotations(times_s: FloatArray) -> Rotation:
         up = -wire(times_s)
         up /= np.linalg.norm(up, axis=-1, keepdims=True)
-        # The least turn that takes the world's z to the wire.
+        # The smallest rotation that takes the world's z to the wire's direction upwards.
         axis = np.stack([-up[..., 1], up[..., 0], np.zeros_like(up[..., 0])], axis=-1)
         sine = np.linalg.norm(axis, axis=-1, keepdims=True)
         angle = np.arctan2(sine, up[..., 2:])

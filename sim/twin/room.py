@@ -1,6 +1,6 @@
-"""The room about the bench: its changing light, shadows, and the wire.
+"""The room around the bench: its changing light, a hand's shadow, and the wire.
 
-Their events are drawn apart from the drone's and added to them: neither hides the other.
+Their events are drawn apart from the drone's and added to them: neither occludes the other.
 """
 
 from collections.abc import Iterator
@@ -20,16 +20,16 @@ from sim.sensor.events import SensorConfig, slow_events
 from sim.twin.bench import HEIGHT, SIZE_M
 from sim.twin.pendulum import Hanging
 
-FRAMES_HZ = 50.0  # at which slow light is followed; linear in between
+FRAMES_HZ = 50.0  # rate at which slow light is sampled; linear in between
 _BATCH = 25  # frames in memory
-_WAVES = 5  # that the changes of the light are the sum of
-_LIGHT_HZ = (0.05, 0.6)  # of them: clouds, people who pass a window
-_SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of a hand's, far from the wall
-# Above and beside where the model would hang at rest: the lamp is higher than the hand.
+_WAVES = 5  # sines that add up to the changes of the light
+_LIGHT_HZ = (0.05, 0.6)  # range of their frequencies: clouds, people who pass a window
+_SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of the shadow of a hand far from the wall
+# Row and column offset, above and beside the model at rest: the lamp is higher than the hand.
 _SHADOW_OFF_PX = (-100.0, 60.0)
 _WIRE_STEP_S = 2e-3
-_WIRE_POINTS = 40  # along the wire, which a lens bends
-_WIRE_CONTRAST = 0.8  # share of the wall's light that the wire keeps back
+_WIRE_POINTS = 40  # along the wire, whose image a lens bends
+_WIRE_CONTRAST = 0.8  # share of the wall's light that the wire blocks
 
 # Branches of the seed, beside those of `sim.twin.bench`.
 _LIGHT_STREAM, _SHADOW_STREAM, _WIRE_STREAM, _PHASE_STREAM = 40, 41, 42, 43
@@ -39,7 +39,7 @@ _LIGHT_STREAM, _SHADOW_STREAM, _WIRE_STREAM, _PHASE_STREAM = 40, 41, 42, 43
 class RoomConfig:
     """What a room does to a recording; nothing by default."""
 
-    light_std: float = 0.0  # deviation of the logarithm of a light that changes slowly
+    light_std: float = 0.0  # standard deviation of the logarithm of the slowly changing light
     shadow: float = 0.0  # share of the light that the shadow of a hand takes from the wall
     wire_m: float = 0.0  # thickness of the wire
 
@@ -52,9 +52,9 @@ class RoomConfig:
 def room_events(
     config: RoomConfig, scene: Scene, hanging: Hanging, sensor: SensorConfig, seed: int, index: int
 ) -> NDArray[Any]:
-    """Draw the events that a room adds, in order of time, on the scene's clock.
+    """Draw the events that a room adds in one camera, in order of time, on the scene's clock.
 
-    Of the sensor, only the thresholds count. The light is one for both cameras.
+    Of the sensor, thresholds, mismatch and `log_eps` count. Both cameras see the same light.
     """
     camera = scene.rig.cameras[index]
     view = View(camera.width, camera.height, scene.trajectory.duration_s)
@@ -70,7 +70,7 @@ def room_events(
 
 
 def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:
-    """Change of a pixel's logarithm where the wire, thinner than a pixel, passes it."""
+    """Return the log luminance that a pixel loses where the wire, thinner than it, passes it."""
     share = min(1.0, config.wire_m * float(camera.K[0, 0]) / depth_m)
     return float(-np.log1p(-_WIRE_CONTRAST * share))
 
@@ -78,11 +78,11 @@ def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:
 def _frames(
     config: RoomConfig, view: View, scene: Scene, hanging: Hanging, seed: int, index: int
 ) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield batches of times (n,) [s] and luminance of the wall: its light, and a shadow on it."""
+    """Yield batches of times (n,) [s] and images (n, height, width) of the lit, shadowed wall."""
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     gains = np.exp(_light(config.light_std, times_s, generator(seed, _LIGHT_STREAM)))
-    # The hand itself is far out of view, where no lens model holds; the wire is always as long.
+    # The hand is far out of view, where no lens model holds: project a point a wire's length below.
     first_s = np.zeros(1)
     wire_m = np.linalg.norm(scene.trajectory.position(first_s) - hanging.hand(first_s))
     held = hanging.hand(times_s) - np.array([0.0, 0.0, float(wire_m)])
@@ -104,7 +104,7 @@ def _frames(
 
 
 def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Logarithm (n,) of the light, a sum of slow waves that starts at 0."""
+    """Return the logarithm (n,) of the light, a sum of slow sines that starts at 0."""
     low, high = (float(np.log(rate_hz)) for rate_hz in _LIGHT_HZ)
     rates_hz = np.exp(rng.uniform(low, high, _WAVES))
     phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
@@ -121,7 +121,7 @@ def _wire(
     sensor: SensorConfig,
     rng: np.random.Generator,
 ) -> NDArray[Any]:
-    """Let each pixel that the wire passes darken and brighten, if that is enough for an event."""
+    """Draw the events of pixels that the wire enters (OFF) or leaves (ON), if contrast suffices."""
     n = max(2, int(np.ceil(view.duration_s / _WIRE_STEP_S)))
     times_s: FloatArray = np.linspace(0.0, view.duration_s, n + 1, dtype=np.float64)
     columns = wire_columns(camera, hanging, times_s, view.height)
@@ -137,13 +137,13 @@ def _wire(
     streams = []
     for brighter, entered in ((False, pixels[k + 1, rows]), (True, pixels[k, rows])):
         threshold = sensor.threshold_on if brighter else sensor.threshold_off
-        fires = rng.random(len(k)) < contrast / threshold  # from any level that it remembers
+        fires = rng.random(len(k)) < contrast / threshold  # from any memorised level
         streams.append(view.events(crossed_s[fires], entered[fires], rows[fires], brighter))
     return np.concatenate(streams)
 
 
 def wire_columns(camera: Camera, hanging: Hanging, times_s: FloatArray, height: int) -> FloatArray:
-    """Column [px] at which the wire crosses each row of the view, (n, height); NaN where not."""
+    """Return the columns (n, height) [px] where the wire crosses each row of the view, or NaN."""
     hands = hanging.hand(times_s)
     tops = hanging.trajectory.position(times_s) - 0.5 * HEIGHT * SIZE_M * hanging.wire(times_s)
     shares = np.linspace(0.0, 1.0, _WIRE_POINTS)[:, None]
