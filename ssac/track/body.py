@@ -1,12 +1,12 @@
-"""One point of a rigid body in the images of several cameras, in place of its images' centres.
+"""Follow one point of a rigid body in the images of several cameras, in place of image centres.
 
-The centre of an image's area is that of no point of the body: parts hide others, and what is nearer
-looks larger, each as the body turns (`ssac.track.moments` takes away what perspective alone does).
-The body's shape and its attitudes are told from all of the images together: voxels that are drawn
-as these are, and the turns by which they are (the same body seen from ever other sides, as of
-Cheung, Baker and Kanade, CVPR 2003). Drawings are then moved until they are as the images, and by
-so much is the body's origin off where it was thought to be. A voxel darkens the pixels it is
-before: optical depths are summed on pixels of half the size, and shares are their means.
+The centre of an image's area is not the image of a fixed point of the body: parts hide others, and
+nearer parts look larger, as the body turns (`ssac.track.moments` corrects for perspective alone).
+All images together determine the body's shape, as voxels whose drawings fit the images, and its
+attitudes (the same body seen from ever other sides, as in Cheung, Baker and Kanade, CVPR 2003).
+Each drawing is then moved to fit its image, and the move is the error of the assumed position of
+the body's origin. A voxel darkens the pixels that it covers: optical depths are summed on pixels of
+half the size, and covered shares are means over these.
 """
 
 from dataclasses import dataclass, replace
@@ -26,23 +26,23 @@ Voxels = tuple[Array, Array, float]
 """Voxels (m, 3) in the body's frame, their optical depths (m,) and their width."""
 
 Drawn = tuple[Images, Array, Array, Array, Array]
-"""Of n images: the share of each pixel that is covered (n, w, w), where their first pixels are from
-the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
-what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
+"""Data of n images: the covered share of each pixel (n, w, w), the first pixels' positions from the
+principal points (n, 2) [px], the body's origin in the cameras' frames (n, 3), rotations from the
+body's frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
 
 class Seen(NamedTuple):
-    """Images of c cameras at n instants; where one has none, it has all of nothing."""
+    """Images of c cameras at n instants; where `is_seen` is false, the other values are unused."""
 
-    shares: Images  # (n, c, w, w) of pixels that are covered
+    shares: Images  # (n, c, w, w) covered share of each pixel
     corners_px: Array  # (n, c, 2) of the first pixels, from the principal points
     points: Array  # (n, c, 3) the body's origin in the cameras' frames
     is_seen: Mask  # (n, c)
-    views: Array  # (c, 3, 3) what turns the axes' frame to the cameras'
+    views: Array  # (c, 3, 3) rotations from X to the cameras' frames
     focals_px: Array  # (c, 2)
 
     def of(self, chosen: IntArray) -> "Seen":
-        """Give some of the instants."""
+        """Return only the chosen instants."""
         return self._replace(
             shares=self.shares[chosen],
             corners_px=self.corners_px[chosen],
@@ -51,7 +51,7 @@ class Seen(NamedTuple):
         )
 
     def drawn(self, chosen: IntArray, attitudes: Array) -> Drawn:
-        """Give all images of some instants, of a body with attitudes (n, 3, 3)."""
+        """Return all images of the chosen instants, for a body with attitudes (n, 3, 3)."""
         i, k = np.nonzero(self.is_seen[chosen])
         i = chosen[i]
         turns = self.views[k] @ attitudes[i]
@@ -60,12 +60,12 @@ class Seen(NamedTuple):
 
 
 View = tuple[Array, Array, Array, Array]
-"""Of one image the same but for the image itself, and the body's axes first: as a camera has it."""
+"""One image's rotation, body's origin, focal lengths and first pixel, each as in `Drawn`."""
 
 FINE = 2
-"""Pixels of a drawing across one of the image."""
+"""Pixels of a drawing across one pixel of the image."""
 
-_N_SLOPES = 5  # of a drawing: by three turns and two moves
+_N_SLOPES = 5  # derivatives of a drawing: by three turns and two moves
 _NONE = 1e-9
 _LEAST_CURVATURE = 1e-6
 _MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
@@ -79,11 +79,11 @@ class Look:
     R: Array  # (3, 3) x = R X + t
     focal_px: Array  # (2,)
     points: Array  # (n, 3) where the body is thought to be, in the camera's frame
-    shares: NDArray[np.float32]  # (n, w, w) of pixels that are covered
+    shares: NDArray[np.float32]  # (n, w, w) covered share of each pixel
     corners_px: Array  # (n, 2) of the first pixel of each, from the principal point; NaN: no image
 
     def coarser(self, factor: int) -> "Look":
-        """Give the same with pixels of so many times the width."""
+        """Return the same view with pixels `factor` times as wide."""
         beyond = -self.shares.shape[1] % factor
         shares = np.pad(self.shares, ((0, 0), (0, beyond), (0, beyond)))
         n, width = len(shares), shares.shape[1] // factor
@@ -97,9 +97,9 @@ def body_moves(
 ) -> list[Array] | None:
     """Find the body's origin in the images of all cameras.
 
-    The body's second moments (m, 3, 3), at even times (m,), are those of `second_moments`. Gives
-    for each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where that
-    is not known. None where the images are not those of a rigid body, or too few.
+    The body's second moments (m, 3, 3), at even times (m,), are as from `second_moments`. Returns
+    for each camera the moves (n, 2) [px] from the assumed to the found images of the origin; NaN
+    where these are not known. None where the images are not those of a rigid body, or too few.
     """
     is_told = np.isfinite(moments[:, 0, 0])
     if not is_told.any():
@@ -126,7 +126,7 @@ def body_moves(
 
 
 def _learnt(n: int, rules: BodyRules) -> IntArray:
-    """Choose of n instants those that tell the shape: of many every other, of more the middle."""
+    """Choose the instants to learn the shape from: of many fewer, of even more the middle ones."""
     step = rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
     chosen = np.arange(0, n, step)
     beyond = max(len(chosen) - rules.most_learnt, 0) // 2
@@ -136,7 +136,7 @@ def _learnt(n: int, rules: BodyRules) -> IntArray:
 def _learned(
     seen: Seen, attitudes: Array, size: float, rules: BodyRules
 ) -> tuple[Voxels, IntArray, Array]:
-    """Find a body's shape; at which of the instants (k,) it is as seen; its attitudes then."""
+    """Learn a body's shape; return it, the instants (k,) that it fits, and its attitudes there."""
     step = size * rules.reach_sizes / rules.voxels_across
     body: Voxels = np.empty((0, 3)), np.empty(0), step
     every: IntArray = np.arange(len(attitudes), dtype=np.int64)
@@ -170,7 +170,7 @@ def _learned(
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
 ) -> tuple[Array, Seen, Array]:
-    """Gather what is seen at even instants; give the second moments' axes to begin with."""
+    """Gather the images at even instants; the second moments' axes are the first attitudes."""
     step = max(1, round(step_s / float(np.median(np.diff(shape_s)))))
     times_s, moments = shape_s[::step], moments[::step]
     width = max(look.shares.shape[1] for look in looks)
@@ -201,7 +201,7 @@ def _instants(
 
 
 def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRules) -> Voxels:
-    """Leave the voxels that so many of the images cover."""
+    """Keep the voxels of a grid that at least this share of the images covers."""
     reach = rules.reach_sizes * size
     along = np.arange(-reach, reach + step, step)
     up = along[np.abs(along) <= rules.thickness_sizes * size]
@@ -213,7 +213,7 @@ def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRule
 def _yawed(
     body: Voxels, seen: Seen, attitudes: Array, costs: Array, ill: Mask, rules: BodyRules
 ) -> None:
-    """Try turns about the least axis, which second moments tell less well than the axis itself."""
+    """Try turns about the axis of least variance: second moments tell these least well."""
     places = np.flatnonzero(ill)
     yaws = Rotation.from_rotvec(np.outer(np.deg2rad(rules.yaws_deg), [0.0, 0.0, 1.0])).as_matrix()
     start = attitudes[places]
@@ -222,7 +222,7 @@ def _yawed(
 
 
 def _take_over(body: Voxels, seen: Seen, attitudes: Array, costs: Array, rules: BodyRules) -> None:
-    """Try at each instant what its neighbours are, which may be where it has not come to."""
+    """Try at each instant the attitude of each neighbour that fits its images better, in place."""
     n = len(attitudes)
     for order, off in ((range(1, n), -1), (range(n - 2, -1, -1), 1)):
         for i in order:
@@ -240,14 +240,14 @@ def _try(
     start: Array,
     rules: BodyRules,
 ) -> None:
-    """Take other attitudes to start from at some instants, in place, where they end up better."""
+    """Register from other attitudes at some instants; keep, in place, those that fit better."""
     found, left = registered(body, seen, places, start, rules.alignments)
     better = left < rules.better * costs[places]
     attitudes[places[better]], costs[places[better]] = found[better], left[better]
 
 
 def _moves(body: Voxels, look: Look, times_s: Array, attitudes: Array, rules: BodyRules) -> Array:
-    """Move the body's drawings at all times of a camera; give by how much (n, 2)."""
+    """Fit the body's drawings to a camera's images at all times; return the moves (n, 2) [px]."""
     inside = (look.times_s >= times_s[0]) & (look.times_s <= times_s[-1])
     inside &= np.isfinite(look.corners_px[:, 0]) & (look.points[:, 2] > 0.0)
     after = np.clip(np.searchsorted(times_s, look.times_s), 1, len(times_s) - 1)
@@ -268,7 +268,7 @@ def _moves(body: Voxels, look: Look, times_s: Array, attitudes: Array, rules: Bo
 
 @numba.njit(cache=True)
 def seen_shares(voxels: Array, least: float, drawn: Drawn) -> Array:
-    """Give the share (m,) of the images that are at least that much covered at each voxel."""
+    """Return the share (m,) of the images that are covered by `least` or more at each voxel."""
     images, corners, points, turns, focals = drawn
     hits = np.zeros(len(voxels))
     width = images.shape[1]
@@ -332,10 +332,10 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
 def registered(
     body: Voxels, seen: Seen, places: IntArray, attitudes: Array, rounds: int
 ) -> tuple[Array, Array]:
-    """Turn the body at m instants, and move each of its drawings, until they are as their images.
+    """Turn the body at m instants, and move each of its drawings, to fit their images.
 
-    By rounds of least squares from attitudes (m, 3, 3) on, at places (m,) among the instants. Gives
-    the attitudes, and which share of the images was left (m,), as squares, before the last step.
+    Rounds of least squares start from attitudes (m, 3, 3) at `places` (m,) in the instants. Returns
+    attitudes, and squared residuals as a share of squared images (m,), before the last step.
     """
     images, corners, points, is_seen, views, focals = seen
     m, c, fine = len(places), images.shape[1], FINE * images.shape[2]
@@ -346,7 +346,7 @@ def registered(
         moves = np.zeros((c, 2))
         for _ in range(rounds):
             cost, whole = 0.0, _NONE
-            normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad as 1 px^2 of an image
+            normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad costs 1 px^2 of an image
             own, mixed, left = np.zeros((c, 2, 2)), np.zeros((c, 2, 3)), np.zeros((c, 2))
             for k in range(c):
                 if not is_seen[at, k]:
@@ -370,7 +370,7 @@ def registered(
 
 @numba.njit(cache=True)
 def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
-    """Move each of n drawings until it is as its image: by (n, 2) [px], and what is left (n,)."""
+    """Move n drawings to fit their images: moves (n, 2) [px], shares of the squares left (n,)."""
     images, corners, points, turns, focals = drawn
     n = len(images)
     moves, costs = np.zeros((n, 2)), np.zeros(n)
@@ -396,8 +396,8 @@ def _within(step: NDArray[Any], most: float) -> Array:
 def _normal(
     work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
 ) -> tuple[Array, Array, float, float]:
-    """Give normal equations (5, 5), (5,) of turns and moves; what is left of an image, and all."""
-    # Only those from `first` on are set. The room for work is all zero again.
+    """Return normal equations (5, 5), (5,) of turns and moves; squares of residuals and image."""
+    # Only entries from `first` on are set. The work arrays are all zero again at the end.
     depths, slopes = work
     top, bottom, left, right = _draw(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
@@ -437,7 +437,7 @@ def _normal(
 def _placed(
     voxel: Array, view: View, scale: int, width: int
 ) -> tuple[int, int, float, float, float]:
-    """Give the pixel up and left of a voxel's image, row -1: outside; how far off; the depth."""
+    """Return the pixel up and left of a voxel's image (row -1: outside), offsets from it, depth."""
     turn, point, focal, corner = view
     x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
     y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
@@ -454,9 +454,9 @@ def _placed(
 def _draw(
     depths: Array, slopes: Array, body: Voxels, view: View, first: int
 ) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and, from `first` on, how they change, in place."""
-    # Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px]. What is
-    # given are the first and past the last rows and columns of pixels.
+    """Add optical depths (FINE w, FINE w) and their slopes from `first` on, in place."""
+    # Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px].
+    # Returned are the first row of image pixels and the one past the last; then so for columns.
     voxels, densities, step = body
     turn, _, focal, corner = view
     area = (FINE * step) ** 2 * focal[0] * focal[1]
@@ -476,7 +476,7 @@ def _draw(
         depths[b + 1, a + 1] += depth * p * q
         if first == 0:
             x, y, h = voxels[j]
-            # What is there less the origin of the image's rays, over the depth.
+            # Normalised image coordinates of the voxel.
             u = ((a + p - 0.5 * (FINE - 1)) / FINE + corner[0]) / focal[0]
             v = ((b + q - 0.5 * (FINE - 1)) / FINE + corner[1]) / focal[1]
             # The voxel moves by axis x voxel.
@@ -497,7 +497,7 @@ def _draw(
 
 @numba.njit(cache=True)
 def _turned(vector: Array) -> Array:
-    """Give the turn by a rotation vector."""
+    """Return the rotation matrix of a rotation vector."""
     angle = np.sqrt(np.sum(vector**2))
     x, y, z = vector / max(angle, _NONE)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,6 +1,6 @@
-"""One camera's recording, checked and without its noise.
+"""Check one camera's recording, and remove its noise.
 
-Everything that looks for the object starts from here. Nothing of how it moves is known yet.
+Every search for the object starts from here. Nothing is known yet of the object's motion.
 """
 
 from collections.abc import Callable, Hashable
@@ -19,56 +19,56 @@ from ssac.track.observation import Observation
 from ssac.track.thin_line import events_on_line
 
 Recorded = Callable[[], Events]
-"""Gives all events that a camera recorded, read once more where they come from a file."""
+"""Function that returns all events of a camera; it reads them again if they are in a file."""
 
 
 @dataclass(frozen=True)
 class ObjectsUsed:
-    """What became of the things that one camera saw."""
+    """How many objects one camera saw, and what share of its events is of the one used."""
 
-    seen: int  # at a time
-    share: float  # of the events, those of the object that was used
+    seen: int  # number of objects at a time
+    share: float  # of the events that belong to the object used
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clean(Observation):
-    """What one camera recorded, checked against it, and without noise where that was asked for."""
+    """One camera's recording, checked against the camera, and denoised if that was asked for."""
 
     camera: Camera
     n_recorded: int = 0  # events before anything was left out
-    denoised: bool = False  # the noise has left the events: it does not come back
-    clutter: Clutter | None = None  # what denoising did; None: nothing, or it was done elsewhere
-    n_followed: int = 0  # events of a faint object, in whose place its track stands
+    denoised: bool = False  # noise is removed from `events`, and is not put back
+    clutter: Clutter | None = None  # what denoising did; None: not done, or done elsewhere
+    n_followed: int = 0  # events of a faint object, which its track replaces
     gaps_us: IntArray = field(default_factory=no_gaps)
-    """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
-    others: windows that reach into them hold a part of what was seen."""
+    """Intervals (g, 2) [us], start and end, ascending, in which events of the object were taken out
+    with others: a window that reaches into one holds only a part of the object's events."""
     on_line: Mask | None = None
-    """Which events (n,) lie where a thin line holds the object; None: there is none."""
+    """Mask (n,) of the events on a thin line that holds the object; None: there is no line."""
     used: ObjectsUsed = ObjectsUsed(1, 1.0)
     recorded: Recorded | None = field(default=None, repr=False, compare=False)
-    """All that the camera recorded, noise among it; None where that left for good."""
+    """Returns all recorded events, with noise; None where the noise was removed for good."""
     kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """What was summed up of these events, by what it is: found once, and delayed with them. What
-    `replace` makes of this has none."""
+    """Cache of results from these events: each is computed once, and delayed with the events.
+    Copies made by `replace` start with an empty cache."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave to a copy what can be found of the events again, and no way to a file."""
+        """Leave out of copies the cache, which can be filled again, and the way to a file."""
         return {**vars(self), "recorded": None, "kept": {}}
 
     def n_min(self, asked: int | None) -> int:
-        """Events that a window holds at least: as asked for, or as denoising found."""
+        """Least number of events in a valid window: as asked for, or as denoising found."""
         if asked is not None:
             return asked
         return N_MIN if self.clutter is None else self.clutter.n_min
 
     def all_events(self) -> Events | None:
-        """Give all events (n,) that the camera recorded; None where the noise left for good."""
+        """Return all events (n,) that were recorded; None where the noise was removed for good."""
         if not self.denoised:
             return self.events
         return None if self.recorded is None else self.recorded()
 
     def delayed(self, t_d_s: float) -> "Clean":
-        """As if the camera's clock had shown `t_d_s` [s] more; what was summed up stays so."""
+        """Return the same as if the clock had shown `t_d_s` [s] more; the cache is delayed too."""
         later, shift_us = super().delayed(t_d_s), round(t_d_s * US_PER_S)
         recorded = on_clock(self.recorded, lambda times_us: times_us + shift_us)
         later = replace(later, gaps_us=self.gaps_us + shift_us, recorded=recorded)
@@ -79,7 +79,7 @@ class Clean(Observation):
 def on_clock(
     recorded: Recorded | None, shown_us: Callable[[IntArray], IntArray]
 ) -> Recorded | None:
-    """Give what gives events, as if the camera's clock had shown other times [us]."""
+    """Wrap a function that returns events: `shown_us` maps their times [us] to other ones."""
     if recorded is None:
         return None
 
@@ -94,8 +94,8 @@ def on_clock(
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
-    What is clean already stays as it is, but for denoising that was skipped and is asked for now.
-    SsacError, of the recording's name or else of `name`, if the camera or what it gave is unusable.
+    A `Clean` recording is checked again only for another camera, and denoised only if it was not.
+    SsacError, with the recording's name or else `name`, if the camera or recording is unusable.
     """
     if not isinstance(seen, Clean):
         seen = _checked(seen, camera, seen.name or name)
@@ -113,7 +113,7 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
 def followed(
     seen: Observation, cleaned: Clean, noise: NoiseRules, rules: FaintRules
 ) -> Clean | None:
-    """Put the track of a faint object in place of a camera's events; None where there is none."""
+    """Replace a camera's events by the track of a faint object; None if there is no such track."""
     camera = cleaned.camera
     found = faint_track(seen.events, camera.width, camera.height, noise, rules)
     if found is None:
@@ -123,7 +123,7 @@ def followed(
 
 
 def _checked(seen: Observation, camera: Camera, name: str) -> Clean:
-    """Give what a camera recorded as it is, if it can be used at all."""
+    """Check that a recording is usable, and return it as `Clean` with its events unchanged."""
     check_camera(camera, name)
     if seen.track is not None:
         check_track(seen.track, camera.width, camera.height, name)

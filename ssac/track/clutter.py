@@ -1,8 +1,8 @@
-"""Which pixels fire by themselves, and how much noise there is in the others.
+"""Find the pixels that fire by themselves, and the background noise of the others.
 
 Lamps that flicker and hot pixels are no part of anything that moves, yet a cluster of them looks
 like an object to a filter of isolated events. Unlike an object they never pause, and they have a
-sharp edge: whatever moves leaves traces all around where it stays.
+sharp edge: whatever moves leaves events all around the place where it stays.
 """
 
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from ssac.rules import NoiseRules
 
 @dataclass(frozen=True)
 class Activity:
-    """What the pixels of a sensor did, over the bins of time in which any did something."""
+    """Events of a sensor's pixels, by those time bins in which there are any events."""
 
     counts: IntArray  # (height, width) events
     active: NDArray[np.int32]  # (parts, height, width) bins with events, by part of the recording
     n_bins: IntArray  # (parts,)
-    background_hz: float  # of an ordinary pixel
+    background_hz: float  # events of an ordinary pixel
 
 
 def activity(events: Events, width: int, height: int, rules: NoiseRules) -> Activity:
-    """Count what each pixel of a sensor of that size [px] did.
+    """Count the events and active bins of each pixel of a sensor of that size [px].
 
-    The background is the middle fifth of all squares in all bins, ordered by their events: an
+    The background is the mean of the middle fifth of all squares in all bins, ordered by events: an
     object that covers less than 40 % of the sensor, or a burst at the start, has no part in it.
     """
     starts = _starts_of_bins(events["t"], rules.bin_us)
@@ -51,7 +51,7 @@ def masked_pixels(found: Activity, rules: NoiseRules) -> Mask:
 
 
 def unmasked(events: Events, masked: Mask) -> Events:
-    """Events (n,) without those of masked pixels (height, width); the very array where none is."""
+    """Leave out events (n,) of masked pixels (height, width); the same array if none is masked."""
     if not masked.any():
         return events
     return events.compress(of_pixels(~masked, events["x"], events["y"]))
@@ -59,7 +59,7 @@ def unmasked(events: Events, masked: Mask) -> Events:
 
 @numba.njit(cache=True)
 def of_pixels(chosen: Mask, x: Pixels, y: Pixels) -> Mask:
-    """Whether each event (n,) is of a chosen pixel (height, width), with no other array (n,)."""
+    """Tell which events (n,) are of chosen pixels (height, width); it makes no other array (n,)."""
     found = np.empty(len(x), np.bool_)
     for i in range(len(x)):
         found[i] = chosen[y[i], x[i]]
@@ -68,7 +68,7 @@ def of_pixels(chosen: Mask, x: Pixels, y: Pixels) -> Mask:
 
 @numba.njit(cache=True)
 def _starts_of_bins(t: IntArray, bin_us: int) -> Indices:
-    """Index of the first event of each bin in which there are events, and their number at last."""
+    """Index of the first event of each bin that has events; the last is the number of events."""
     starts, first = [0], 0
     while first < len(t):
         end_us = t[first] + bin_us - (t[first] - t[0]) % bin_us
@@ -87,7 +87,7 @@ def _count(
     in_bin, touched = np.zeros(n_pixels, np.int32), np.empty(n_pixels + 1, np.int32)
     n_bins = np.zeros(parts, np.int64)
     in_square = np.zeros((height // square_px + 1, width // square_px + 1), np.int64)
-    squares = np.zeros((1 << 14) + 1, np.int64)  # those with more events are counted as the last
+    squares = np.zeros((1 << 14) + 1, np.int64)  # squares with more events count as the last
     total = len(starts) - 1
     for k in range(total):
         part = k * parts // total
@@ -95,7 +95,7 @@ def _count(
         n_touched = 0
         for i in range(starts[k], starts[k + 1]):
             pixel = np.uint32(np.int64(y[i]) * width + x[i])
-            touched[n_touched] = pixel  # and written over, where it was touched before
+            touched[n_touched] = pixel  # overwritten if the pixel was touched before
             n_touched += in_bin[pixel] == 0
             in_bin[pixel] += 1
         for pixel in touched[:n_touched]:
@@ -113,7 +113,7 @@ def _count(
 
 
 def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
-    """Pixels that stand alone with many events: an object's edge leaves as many along itself."""
+    """Pixels with many events beside few such pixels: an object's edge has as many all along."""
     rows, columns = np.nonzero(counts >= rules.min_masked_events)
     own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
     n_companions = np.full(len(own), -1)  # the pixel finds itself
@@ -125,7 +125,7 @@ def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
 
 
 def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
-    """Clusters that never pause, with little around: a slow object leaves, or blurs its edge."""
+    """Clusters that never pause, with few events around: slow objects leave, or blur their edge."""
     clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))
     if total < rules.min_bins_per_part * rules.parts:

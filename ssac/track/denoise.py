@@ -1,4 +1,4 @@
-"""The events of the moving object alone, without those that fire by themselves or are isolated.
+"""Remove noise: the events of pixels that fire by themselves, and isolated events.
 
 How many neighbours an event needs follows from the noise that is there, and from how many events
 the object makes; the paper's 20 are what an ordinary drone in ordinary light needs.
@@ -21,18 +21,18 @@ US_PER_MS = 1000.0
 
 @dataclass(frozen=True)
 class Clutter:
-    """What was done to the events of one camera, and why."""
+    """What denoising found in the events of one camera, and what it did to them."""
 
     masked_pixels: int  # which fire by themselves: lamps and hot pixels
     masked_events: int
     background_hz: float  # of an ordinary pixel
-    radius_px: float  # of the radius filter's ball, and in ms
-    n_neighbours: int  # that an event needs in it
-    n_min: int  # events that a window holds at least, unless the config says how many
+    radius_px: float  # of the radius filter's ball, which reaches as many ms in time
+    n_neighbours: int  # that an event needs in the ball
+    n_min: int  # least events in a valid window, unless the config says how many
 
     @property
     def is_adapted(self) -> bool:
-        """Whether the paper's values were left."""
+        """Whether the values differ from the paper's."""
         used = self.radius_px, self.n_neighbours, self.n_min
         return used != (NoiseRules.ball_px, NoiseRules.ball_neighbours, N_MIN)
 
@@ -40,10 +40,10 @@ class Clutter:
 def without_noise(
     events: Events, width: int, height: int, n_neighbours: int | None, rules: NoiseRules
 ) -> tuple[Events, Clutter]:
-    """Remove what fires by itself, then what fires alone; give what is left, and what was done.
+    """Remove pixels that fire by themselves, then isolated events; return the rest and a summary.
 
-    Each event needs so many neighbours in the paper's ball. None: the paper's, in little noise; in
-    more the smaller ball; fewer, if noise allows it, where the object is thin.
+    An event needs `n_neighbours` in the paper's ball. None: the paper's number, or fewer, as noise
+    allows, where the object makes few events; in much noise the smaller ball, likewise.
     """
     found = activity(events, width, height, rules)
     mask = masked_pixels(found, rules)
@@ -76,13 +76,13 @@ def least_neighbours(
     in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
     in_window = background_hz * n_pixels * rules.window_s
     for n in range(rules.least_neighbours, most):
-        if in_window * pdtrc(n - 1, in_ball) <= 1.0:  # n or more, of a Poisson distribution
+        if in_window * pdtrc(n - 1, in_ball) <= 1.0:  # Poisson probability of n or more
             return n
     return most
 
 
 def _events_per_window(events: Events, rules: NoiseRules) -> float:
-    """Median number of events in a window about one of them, of a thousand; 0 of none."""
+    """Median number of events in windows about up to a thousand of them; 0 without events."""
     t = events["t"]
     if len(t) == 0:
         return 0.0
@@ -98,15 +98,15 @@ def radius_filter(
     n_neighbours: int = NoiseRules.ball_neighbours,
     size_px: tuple[int, int] | None = None,
 ) -> Events:
-    """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
+    """Keep the events with enough neighbours in a ball of x-y-t space, as the paper's authors do.
 
-    An event is kept when at least `n_neighbours` others, sorted by time, lie within `radius_px` of
-    it (the boundary counts), where `ms_per_unit` milliseconds count as one pixel. The sensor's size
-    is told, or as far as the events reach.
+    Of events sorted by time, one is kept when at least `n_neighbours` others lie within `radius_px`
+    of it (the boundary counts), where `ms_per_unit` milliseconds count as one pixel. The sensor's
+    width and height are `size_px`; None: as far as the events reach.
 
-    The core of the ball has its events counted as they come and go, and where it holds enough the
-    event is kept at once. For the others, the events of each pixel around are looked through from
-    the latest one on, the nearest pixels first.
+    Events in the core of the ball are counted as they enter and leave it, and an event whose core
+    holds enough is kept at once. For any other event the pixels of the ball are searched, the
+    nearest first, each from its latest event back.
     """
     if len(events) <= n_neighbours:
         return events[:0]
@@ -115,10 +115,10 @@ def radius_filter(
     width, height = size_px or (int(x.max()) + 1, int(y.max()) + 1)
     margin_px = int(radius_px)
     n_rows = height + 2 * margin_px
-    # Pixels nearer than 0.4 of the ball's squared radius are the core: which share changes nothing.
+    # The core: pixels within 0.4 of the squared radius. The share does not change the result.
     squared_px = max(0.4 * radius_px**2, 1.0)
     core_us = int(np.min(spans_us[np.sum(offsets_px**2, axis=1) <= squared_px]))
-    if radius_px < 1.0:  # the core is larger: it counts at no time
+    if radius_px < 1.0:  # the core is larger than the ball: it counts nothing
         core_us = _NEVER_US
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     sensor = width + 2 * margin_px, n_rows, margin_px
@@ -131,7 +131,7 @@ _NEVER_US = -(1 << 61)
 
 
 def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
-    """Cells, of columns of `n_rows`, in the middle of three pixels that no circle cuts."""
+    """Offsets, by columns of `n_rows`, to the middles of vertical pixel triples in the circle."""
     reach_px, found = int(np.sqrt(squared_px)), []
     for column in range(-reach_px, reach_px + 1):
         n_threes = (2 * int(np.sqrt(squared_px - column**2)) + 1) // 3
@@ -141,7 +141,7 @@ def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
 
 
 def _ball(radius_px: float, us_per_px: float) -> tuple[IntArray, IntArray]:
-    """Pixels (k, 2) [px] that a ball reaches, the nearest first, and for how long (k,) [us]."""
+    """Offsets (k, 2) [px] of a ball's pixels, nearest first; its half-lengths there (k,) [us]."""
     axis_px = np.arange(-int(radius_px), int(radius_px) + 1)
     offsets_px = np.stack(np.meshgrid(axis_px, axis_px, indexing="ij"), axis=-1).reshape(-1, 2)
     squares_px = np.sum(offsets_px**2, axis=1)
@@ -149,7 +149,7 @@ def _ball(radius_px: float, us_per_px: float) -> tuple[IntArray, IntArray]:
     order = order[squares_px[order] <= radius_px**2]
     left = (radius_px**2 - squares_px[order]) * us_per_px**2
     spans_us = np.floor(np.sqrt(left))
-    spans_us += (spans_us + 1.0) ** 2 <= left  # the root of a whole square may come out below it
+    spans_us += (spans_us + 1.0) ** 2 <= left  # a perfect square's root may come out too small
     return offsets_px[order], spans_us.astype(np.int64)
 
 
@@ -166,16 +166,16 @@ def _has_neighbours(
     longest_us: int,
     n_neighbours: int,
 ) -> Mask:
-    """Whether each event has `n_neighbours` others in cells `steps` from its own for `spans_us`."""
-    # All cells at most one row from `core` are of the ball for `core_us`. Loops over a tuple are
-    # compiled without a loop, and an index without a sign is not looked at twice.
+    """Tell which events have `n_neighbours` others at `steps` from their cells, in `spans_us`."""
+    # All cells at most one row from those of `core` are in the ball for `core_us`. Loops over a
+    # tuple are unrolled, and an unsigned index is not checked for negative values.
     n, radius_us = len(t), spans_us[0]
-    together = 64  # events are taken by so many, so that loops are few, and long
+    together = 64  # events in a batch, so that loops are few, and long
     n_columns, n_rows, margin_px = sensor
-    # A pixel's events are a chain from its latest one back.
+    # A pixel's events are a linked list from its latest one back.
     previous, cells = np.empty(n, np.int32), np.empty(n, np.int32)
     latest = np.full(n_columns * n_rows, -1, np.int32)
-    counts = np.zeros(n_columns * n_rows, np.int32)  # in the core's time, of three rows, by column
+    counts = np.zeros(n_columns * n_rows, np.int32)  # within `core_us`, in three rows of a column
     chains, chain_spans_us = np.empty(len(steps) + 1, np.int32), np.empty(len(steps) + 1, np.int64)
 
     keep = np.zeros(n, np.bool_)
@@ -210,7 +210,7 @@ def _has_neighbours(
                 n_found += counts[np.uint32(here + step)]
             if n_found < n_neighbours:
                 n_found = -1
-                n_chains = 0  # of pixels where anything happened: to foresee which is no use
+                n_chains = 0  # of pixels with events; counted without a branch to predict
                 for k in range(len(steps)):
                     j = chains[n_chains] = latest[np.uint32(here + steps[k])]
                     chain_spans_us[n_chains] = spans_us[k]

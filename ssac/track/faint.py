@@ -1,10 +1,10 @@
-"""The events of a faint object, small and far away, out of all that one camera recorded.
+"""Find the events of a faint object, small and far away, among all that one camera recorded.
 
-What tells a distant object from noise by its neighbours alone loses it where it is slow or far. But
-where it must be is known by then, from before and after, and in a corridor of its own size about
-that place there is little noise. The path is smoothed with the events of the corridor, each by the
-share that the object has in all events there, which lengthens what is known of it at both ends;
-and so on, until no more is gained.
+A filter that only counts neighbours loses a distant object where it is slow or far. The path before
+and after then tells where the object must be, and a corridor of its own size about that place holds
+little noise. The path is smoothed with the events of the corridor, each weighted by the object's
+share of all events there, which extends the known path at both ends. This is repeated until no more
+is gained.
 """
 
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ class _Binned:
     events: Events
     start_us: int
     bin_us: int
-    ages_s: Array  # (m,) from the middle of the bin on
+    ages_s: Array  # (m,) of the events, from the middle of their bin
     bounds: IntArray  # (n + 1,) first event of each bin
 
     def __len__(self) -> int:
         return len(self.bounds) - 1
 
     def of(self, events: Events) -> IntArray:
-        """Give the bin of each of some events (k,)."""
+        """Return the bin (k,) of each of k events."""
         return np.asarray((events["t"] - self.start_us) // self.bin_us)
 
 
@@ -57,15 +57,15 @@ class _Path:
     known: Mask  # (n,) well enough to look for events
 
     def around(self, sizes_px2: Array) -> Array:
-        """Variances (n, 2) of the object's events about it."""
+        """Variances (n, 2) of the object's events about the path."""
         return np.asarray(sizes_px2 + np.where(self.known[:, None], self.variances_px2, 0.0))
 
 
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
     """Find the events of one object that makes too few to be told from noise by their neighbours.
 
-    What the radius filter leaves is surely the object's, but has gaps, through which it is
-    followed; too little to follow is all that is given. SsacError when no event is surely of one.
+    What the radius filter leaves is surely the object's, with gaps through which it is followed;
+    only this is returned if it is too little. SsacError if no event is surely an object's.
     """
     by = by or Rules()
     rules = by.faint
@@ -85,15 +85,15 @@ def faint_track(
 ) -> tuple[PointTrack, int] | None:
     """Follow one object that makes too few events for a window to hold enough of them.
 
-    Gives a point of each bin in which its place is known well, smoothed by the events before and
-    after, and how many events are the object's. None where too little is sure to follow it.
+    Returns a point for each bin in which its place is well known, smoothed with the events before
+    and after, and how many events are the object's. None if too few events are sure to follow it.
     """
     kept, sure = _sure(events, width, height, noise, rules)
     found = follow(kept, sure, width, height, rules) if len(sure) else None
     if found is None:
         return None
     variances_px2 = np.max(found.variances_px2, axis=1)
-    is_sound = np.all(found.variances_px2 > 0.0, axis=1)  # but for where rounding spoils it
+    is_sound = np.all(found.variances_px2 > 0.0, axis=1)  # fails only by rounding
     known = np.flatnonzero(found.seen & is_sound & (variances_px2 < rules.max_sigma_px**2))
     times_s = 1e-6 * (found.start_us + rules.bin_us * (known.astype(np.float64) + 0.5))
     if not len(known):
@@ -106,10 +106,10 @@ def faint_track(
 def _sure(
     events: Events, width: int, height: int, noise: NoiseRules, rules: FaintRules
 ) -> tuple[Events, Events]:
-    """Leave out what fires by itself; and find those of the rest that are surely an object's."""
+    """Return events without pixels that fire by themselves, and those surely an object's."""
     found = activity(events, width, height, noise)
     kept = unmasked(events, masked_pixels(found, noise))
-    as_large_px = rules.ms_per_px ** (1 / 3) * noise.ball_px  # in which a px is 1 ms
+    as_large_px = rules.ms_per_px ** (1 / 3) * noise.ball_px  # same volume, 1 ms per px
     hz, most = found.background_hz, rules.most_neighbours
     n = max(rules.n_neighbours, least_neighbours(hz, width * height, as_large_px, most, noise))
     sure = kept
@@ -121,10 +121,10 @@ def _sure(
 def follow(
     events: Events, sure: Events, width: int, height: int, rules: FaintRules
 ) -> Followed | None:
-    """Follow the one object that a camera sees between and beyond where it is sure.
+    """Follow the one object that a camera sees between and beyond its sure events.
 
-    Events are sorted by time, without what fires by itself; of those that are sure next to none is
-    noise. None where these are too few for the size of the image.
+    Events are sorted by time, without pixels that fire by themselves; almost none of the sure ones
+    is noise. None where the sure ones are too few to give the size of the image.
     """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)
@@ -155,7 +155,7 @@ def follow(
     return Followed(bins.start_us, path.positions_px, path.variances_px2, seen, events[inside])
 
 
-_LEAST_WEIGHT = 1e-3  # of what is measured in a bin, in events
+_LEAST_WEIGHT = 1e-3  # of a bin that counts as measured, in events
 
 
 def _binned(events: Events, bin_us: int) -> _Binned:
@@ -167,7 +167,7 @@ def _binned(events: Events, bin_us: int) -> _Binned:
 
 
 def _lasting(sure: Events, bins: _Binned, rules: FaintRules) -> Events:
-    """Leave out what cannot be the one object: bins in two places, and clumps that do not last."""
+    """Leave out events that cannot be the object's: far off their bin's mean or in small clumps."""
     for _ in range(2):  # the second time by means without what the first left out
         bin_of_sure = bins.of(sure)
         means_px = _means(sure, bin_of_sure, len(bins))[1][bin_of_sure]
@@ -194,7 +194,7 @@ def _means(events: Events, bin_of_event: IntArray, n_bins: int) -> tuple[Array, 
 def _sizes(
     sure: Events, bin_of_sure: IntArray, counts: Array, means_px: Array, rules: FaintRules
 ) -> Array | None:
-    """Variances (n, 2) of the object's events about its place; in between where it is not sure."""
+    """Variances (n, 2) of the object's events about it; interpolated where it is not sure."""
     good = counts >= rules.min_bin_events
     of_good = good[bin_of_sure]
     n_free = _around(np.where(good, counts - 1.0, 0.0), rules.size_bins)
@@ -236,7 +236,7 @@ def _smoothed(
 def _rates(
     bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
 ) -> tuple[Array, Array, Mask]:
-    """Events of the object in each bin, of all else in a bin and a pixel, and where it is seen."""
+    """Object's events in each bin, background events per bin and pixel, and where it is seen."""
     nothing, known = np.zeros(len(bins)), path.known
 
     def around(values: Array) -> Array:
@@ -269,7 +269,7 @@ def _sums(
 
 
 def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
-    """Bins (n,) of paths that do not lead from where the object is sure to where it is again."""
+    """Mask (n,) of paths that join no two sure stretches, but for the bins next to a sure one."""
     dead = np.zeros(len(seen), np.bool_)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen & ~is_sure, [False]])))
     for first, last in edges.reshape(-1, 2):
@@ -284,7 +284,7 @@ def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
 
 
 def _around(values: Array, bins: int) -> Array:
-    """Sum up the values (n,) of each bin and so many on each side."""
+    """Sum up the values (n,) of each bin and of `bins` more on each side."""
     ends, index = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     last = np.minimum(index + bins + 1, len(values))
     return np.asarray(ends[last] - ends[np.maximum(index - bins, 0)])
@@ -298,7 +298,7 @@ def smoothed_path(
 
     Bins (n,) of length `step_s` in which nothing was measured have an infinite variance. The
     acceleration is white noise of a density [px^2/s^3]; the velocity's variance [px^2/s^2] between
-    two sights has a limit. Gives position, velocity and the position's variance in each bin (n,).
+    two sights has a limit. Returns position, velocity and position variance in each bin (n,).
     """
     unknown = 1e6  # variance of what is not known yet, [px^2] and [px^2/s^2]
     n = len(means_px)
@@ -355,8 +355,8 @@ def _sums_in_bins(
     rates: Array,
     background: Array,
 ) -> Array:
-    """Give (n, 5): events counted, events around; sums of weights, and of weighted x and y."""
-    # An event's weight is the share of the object in all that is there.
+    """Return (n, 5): events counted, events around; sums of weights, of weighted x and y."""
+    # An event's weight is the object's share of the density of events there.
     ages_s, x, y, bounds = events
     known, positions_px, velocities_px_s, variances_px2 = path
     half_px, counted, inside, around = limits

@@ -1,8 +1,8 @@
-"""The second moments of an object, told by those of its images in several cameras.
+"""Estimate an object's second moments from those of its images in several cameras.
 
-The centre of an image's area is that of no point of the object: what is nearer looks larger.
-Perspective alone shifts it by several millimetres for a body of half a metre at 5 m: to first order
-as the body's second moments say, and these are told by its images'.
+The centre of an image's area is not the image of a fixed point: nearer parts look larger.
+Perspective alone shifts it by several millimetres for a body of half a metre at 5 m. To first order
+the body's second moments give the shift, and those of its images give the body's.
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from ssac.arrays import Array, IntArray
 from ssac.rules import BodyRules
 
 LEAST_VIEWS = 3
-"""Cameras that tell all second moments: two have one of theirs in common."""
+"""Fewest cameras that determine all six second moments: two measure one in common."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One camera's, at n times."""
+    """One camera's view of the object at n times."""
 
     R: Array  # (3, 3) x = R X + t
     focal_px: Array  # (2,)
@@ -29,7 +29,7 @@ class View:
 
 
 def image_by_place(R: Array, focal_px: Array, points: Array) -> Array:
-    """Give the derivatives (n, 2, 3) of points' image by their place X, as of `View`."""
+    """Return the Jacobian (n, 2, 3) of image points by positions X; the inputs are as in `View`."""
     depths = points[:, 2]
     by_local = np.zeros((len(depths), 2, 3))
     for axis in (0, 1):
@@ -39,22 +39,22 @@ def image_by_place(R: Array, focal_px: Array, points: Array) -> Array:
 
 
 def nearest(at_s: Array, times_s: Array) -> tuple[IntArray, Array]:
-    """Give which of two or more ascending times (n,) are next to others (m,), and how far [s]."""
+    """Find those of n > 1 ascending times nearest to times (m,): indices and distances [s]."""
     after = np.clip(np.searchsorted(at_s, times_s), 1, len(at_s) - 1)
     places = np.where(at_s[after] - times_s < times_s - at_s[after - 1], after, after - 1)
     return places, np.abs(at_s[places] - times_s)
 
 
 def spreads_near(spreads_px2: Array, at_s: Array, times_s: Array, reach_s: float) -> Array:
-    """Take the second moments (n, 3) next to times (m,); NaN where there are none within reach."""
+    """Pick from second moments (n, 3) those nearest to times (m,); NaN where none is in reach."""
     places, apart_s = nearest(at_s, times_s)
     return np.where((apart_s < reach_s)[:, None], spreads_px2[places], np.nan)
 
 
 def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
-    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
+    """Estimate the object's second moments (n, 3, 3) in X at n even times, smoothed over time.
 
-    NaN where too few views tell them; of the one that two leave open it may be any.
+    NaN where too few views see it. The one combination that two views leave open is arbitrary.
     """
     n = len(views[0].points)
     normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
@@ -73,8 +73,8 @@ def second_moments(views: list[View], smoothing: float, least_views: int = LEAST
             right += row * spread[:, None]
     enough = counts >= least_views
     scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
-    # A ridge, as views from nearly one direction leave depth open; two always leave one open, which
-    # would else be as large as rounding errors make it.
+    # The ridge is for views from nearly one direction, which leave depth open. Two views always
+    # leave one combination open, which rounding errors would otherwise make large.
     ridge = 1e-9 if least_views >= LEAST_VIEWS else 1e-6
     normal += (ridge * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
     found = np.linalg.solve(normal, right[..., None])[..., 0] * enough[:, None]
@@ -87,9 +87,9 @@ def second_moments(views: list[View], smoothing: float, least_views: int = LEAST
 
 
 def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
-    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
+    """Return the centre of the image's area minus the image of the object's centre (n, 2) [px].
 
-    The moments (n, 3, 3) are in X; shifts are NaN where these are.
+    The moments (n, 3, 3) are in X; a shift is NaN where its moments are.
     """
     local = view.R @ moments @ view.R.T
     depths = view.points[:, 2:]
@@ -100,8 +100,8 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
 def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
     """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
 
-    Two views leave the combination of both rays open. It is looked for at every `step`-th time,
-    such that the body's three deviations stay the same, and that it turns smoothly.
+    Two views leave the multiple of r1 r2' + r2 r1' open, with unit rays r1, r2. It is chosen at
+    every `step`-th time such that the body's three deviations stay the same and it turns smoothly.
     """
     told = second_moments(views, smoothing, least_views=2)
     seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
@@ -116,7 +116,7 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
     basis = np.linalg.inv(np.stack([first, second, np.cross(first, second)], axis=2)[places])
     within = basis @ told[places] @ basis.transpose(0, 2, 1)
     size = float(np.sqrt(np.median(np.trace(told[places], axis1=1, axis2=2))))
-    # Where the least of the variances is none: by what each ray has beside the normal's part.
+    # Bounds where the least variance is zero, by the Schur complement of the normal's variance c.
     a, b, c = (np.maximum(within[:, k, k], (rules.open_least * size) ** 2) for k in range(3))
     p, q = (np.clip(within[:, k, 2], -np.sqrt(d * c), np.sqrt(d * c)) for k, d in ((0, a), (1, b)))
     half = np.sqrt(np.maximum(a - p**2 / c, 0.0) * np.maximum(b - q**2 / c, 0.0))
@@ -146,8 +146,8 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
 ) -> tuple[IntArray, float]:
-    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming; its cost."""
-    # Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before.
+    """Choose one of k tensors (m, k, 6) at each of m times by dynamic programming; mean cost."""
+    # Squared differences count: of deviations (m, k, 3) from the shape (3,), of tensors in time.
     m, k = deviations.shape[:2]
     back = np.zeros((m, k), np.int64)
     costs, before = np.zeros(k), np.zeros(k)

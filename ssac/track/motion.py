@@ -4,8 +4,8 @@ The paper's Sec. IV-A: the object's position at a time is the mean of the undist
 of the events in a short window around it. Cumulative sums over the events make each such mean two
 binary searches and one difference, so that a search over thousands of offsets stays cheap.
 
-A track of points is sampled alike, so that no method need know which it looks at: local parabolas
-stand for means over windows, and for the object's size one that noise and image width suggest.
+A track of points is sampled alike, so that no method need know which of the two it uses: local
+parabolas replace means over windows, and noise and image width set the object's size.
 """
 
 from dataclasses import dataclass, field, replace
@@ -45,16 +45,16 @@ class Track:
 
 @dataclass(frozen=True)
 class SharpTrack(Track):
-    """As a Track, from event images sharpened by the object's velocity (`sharp_at`)."""
+    """A `Track` from event images that are sharpened by the object's velocity (`sharp_at`)."""
 
     velocities_px_s: Array  # (..., 2)
     sizes_px: Array  # (...,) root mean square distance of the image from its position
 
 
 def motion_of(clean: Clean, how: Windows) -> "Motion":
-    """Sum up a camera's object for sampling at any time (Sec. IV-A).
+    """Prepare a camera's object for sampling at any time (Sec. IV-A).
 
-    Sums over its events are kept with what is clean, as only the border's width changes them.
+    Sums over its events are cached in `clean`, as only the border's width changes them.
     """
     if clean.track is not None:
         return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
@@ -65,7 +65,7 @@ def motion_of(clean: Clean, how: Windows) -> "Motion":
 
 
 def _summed_up(clean: Clean, border_px: int) -> "ObjectMotion":
-    """Sum up all events; beside them those that no thin line holds, where there is one."""
+    """Sum up all events; also those off the thin line that holds the object, if there is one."""
     events = [clean.events]
     if clean.on_line is not None:
         events.append(clean.events[~clean.on_line])
@@ -88,8 +88,8 @@ class ObjectMotion:
     half_window_s: float = 0.020  # [s] on each side of a sample time
     n_min: int = 200  # events a valid sample's window holds at least
     max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border
-    gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as of `Clean`
-    bare: "ObjectMotion | None" = None  # without the events where a line holds the object, if so
+    gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as in `Clean`
+    bare: "ObjectMotion | None" = None  # without the events on a thin line, if any
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -134,7 +134,7 @@ class ObjectMotion:
     def centred_at(self, times_s: Array) -> Track:
         """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
 
-        The mean time is another where a camera was blind. Invalid where there is no velocity.
+        Mean times are off the middle where a camera was blind. Invalid where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         first, last = (self._indices(times_s, side) for side in (-1, +1))
@@ -156,12 +156,12 @@ class ObjectMotion:
         return shift_px / shift_s[..., None]
 
     def sharp_at(self, times_s: Array) -> SharpTrack:
-        """Sample the motion at times (n,) [s] where its image is sharp; not the paper's position.
+        """Sample the motion at times (n,) [s] in sharpened event images; not the paper's position.
 
-        How many events a part of the object makes pulls their mean to and fro as it turns. Here the
-        window's events are moved to its middle with the velocity and counted in cells of a pixel,
-        each of which counts by the square root of its events: between their mean and the centre of
-        the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
+        Parts of the object make more or fewer events as it turns, which pulls their mean to and
+        fro. Here the window's events are moved to its middle with the velocity and counted in cells
+        of a pixel, each weighted by the square root of its count: the result lies between the mean
+        and the centre of the image's area. Valid as in `at`, but invalid and NaN without velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
@@ -240,18 +240,18 @@ def _slices(times_us: IntArray) -> tuple[int, int]:
 class PointMotion:
     """The n points of one camera, to be sampled as `ObjectMotion` is."""
 
-    times_s: Array  # (n,) [s], ascending; of the points' own rows of a rolling shutter
+    times_s: Array  # (n,) [s], ascending; with a rolling shutter, of each point's own row
     points_px: Array  # (n, 2) undistorted
-    sigmas_px: Array  # (n,) of each coordinate
-    size_px: float  # that stands for the object's
+    sigmas_px: Array  # (n,) deviation of each coordinate
+    size_px: float  # stands for the object's size
     half_window_s: float
     max_gap_s: float
     rows: Array  # (n,) of a rolling shutter: 0 for the image's first row, 1 for its last
-    readout_s: float = 0.0  # with which the times are of these rows
+    readout_s: float = 0.0  # [s] from first to last row, included in `times_s`
 
     @property
     def interval_s(self) -> float:
-        """Least time [s] from one frame to the next; infinite of one."""
+        """Least time [s] from one frame to the next; infinite for a single one."""
         frames_s = self.times_s - self.readout_s * self.rows
         return float(np.min(np.diff(frames_s), initial=np.inf))
 
@@ -278,8 +278,8 @@ class PointMotion:
     def sharp_at(self, times_s: Array) -> SharpTrack:
         """Sample the track and its velocity at times (...,) [s].
 
-        The sizes are in proportion to the deviations of the points there, so that methods, which
-        weigh by the inverse of the size, weigh well.
+        The sizes are proportional to the deviations of the points there, so that methods, which
+        weight by the inverse of the size, weight the points rightly.
         """
         positions, velocities, sigmas, counts = local_parabolas_at(
             self.times_s,
@@ -317,7 +317,7 @@ def point_motion(
     Distortion is removed; points that the lens model cannot undistort are left out. With a rolling
     shutter, each point was seen `readout_s` times its row's share of the height later. Windows of
     local parabolas are longer where `half_window_s` [s] holds fewer than five points. SsacError,
-    which starts with what the track is, if the readout is longer than from one frame to the next.
+    which starts with `name`, if the readout is longer than the time from one frame to the next.
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
@@ -340,7 +340,7 @@ def point_motion(
 
 
 def check_readout(times_s: Array, readout_s: float, name: str) -> None:
-    """Refuse a shutter that has not read a frame out when the next one begins."""
+    """Raise SsacError if a rolling shutter is still reading a frame out when the next begins."""
     if not readout_s:
         return
     frame_s = float(np.min(np.diff(times_s), initial=np.inf))
@@ -352,7 +352,7 @@ def check_readout(times_s: Array, readout_s: float, name: str) -> None:
 
 
 def _noise_px(times_s: Array, points: Array, max_gap_s: float, least_px: float) -> float:
-    """Deviation [px] of white noise on a coordinate: what lies off the cubic through neighbours."""
+    """Deviation [px] of white noise on a coordinate, by residuals to cubics through neighbours."""
     if len(times_s) <= 4:
         return 1.0
     gaps_s = np.diff(times_s)

@@ -1,4 +1,4 @@
-"""The loops over events behind an object's motion, compiled."""
+"""Compiled loops over events and points, by which an object's motion is sampled."""
 
 import numba
 import numpy as np
@@ -12,11 +12,11 @@ Sliced = tuple[IntArray, int, Starts]
 """Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
 
 TIE_US = 1e-3
-"""Far more than times in seconds lose by rounding, far less than lies between even samples: which
-microsecond or event one half-way is taken for must not depend on the clock's zero."""
+"""A tolerance far above rounding errors of times in seconds, far below the step of even samples:
+to which microsecond or event a time half-way is rounded must not depend on the clock's zero."""
 
 HALF_US = 0.5 + TIE_US
-"""What a time [us] is more before it is rounded down: up where it is half-way."""
+"""Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
 
 
 @numba.njit(cache=True)
@@ -32,12 +32,12 @@ def sum_up(
     border_sums: Starts,
     slice_starts: Starts,
 ) -> None:
-    """Fill in what an `ObjectMotion` holds of n events, in one pass over them.
+    """Fill in the arrays of an `ObjectMotion` in one pass over n events.
 
-    Where each pixel is imaged without distortion stands in `ideal` (height, width, 2); None: where
-    it is. The border is the sensor's width and height, and that of its border [px]. The arrays are
-    given, the starts zero so far, as NumPy makes them in large pages of memory, which Numba does
-    not: to touch small ones for the first time takes as long as all else here.
+    `ideal` (height, width, 2) holds the undistorted position of each pixel; None: no distortion.
+    `border` is the sensor's width and height, and the width of its border [px]. The caller gives
+    the arrays, with all starts zero, as NumPy allocates them in large pages of memory, which Numba
+    does not: the first access to small pages takes as long as all else here.
     """
     width, height, border_px = border
     sum_x, sum_y, n_on_border = 0.0, 0.0, 0
@@ -53,13 +53,13 @@ def sum_up(
         border_sums[i + 1] = n_on_border
         times_us[i] = t[i]
         slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # its last event writes last
-    for k in range(1, len(slice_starts)):  # of slices without events
+    for k in range(1, len(slice_starts)):  # fills slices without events
         slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
 
 
 @numba.njit(cache=True)
 def _first_from(time_us: np.int64, sliced: Sliced) -> int:
-    """Index of the first time at or after one, as np.searchsorted gives it, four times as fast."""
+    """Index of the first time from `time_us` on, as by np.searchsorted, but four times as fast."""
     times_us, slice_bits, slice_starts = sliced
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
@@ -87,8 +87,8 @@ def window_sums(
 ) -> tuple[Array, IntArray, IntArray]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
-    This waits for memory, not for arithmetic. So of rows of samples, one for each offset that is
-    tried, the first samples come first, which lie side by side in memory.
+    Memory limits the speed, not arithmetic. Samples come in rows, one for each trial offset,
+    and are taken column by column: events of a column's windows lie side by side in memory.
     """
     position_sums_px, border_sums = sums
     n = len(middles_s)
@@ -110,7 +110,7 @@ def window_sums(
 
 @numba.njit(cache=True)
 def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
-    """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none.
+    """Mean (n,) [us] of times from `first` up to `last`, since the first of all; NaN of none.
 
     Not by cumulative sums, as positions are: these means are few, and the sums would take half as
     much memory as the events.
@@ -154,7 +154,7 @@ def sharp_centres(
         firsts = np.empty(n_events + 1, np.int32)  # first event of each cell, in their order
         n_cells = 0
         for j in range(n_events):
-            firsts[n_cells] = j  # and written over, where it is not the first: nothing to foresee
+            firsts[n_cells] = j  # overwritten if it is not the first: no branch to predict
             n_cells += counts[cells[j]] == 0
             counts[cells[j]] += 1
         total, sum_x, sum_y, sum_squares = 0.0, 0.0, 0.0, 0.0
@@ -181,9 +181,9 @@ def local_parabolas_at(
 ) -> tuple[Array, Array, Array, IntArray]:
     """Positions, velocities, deviations and counts of points at m wanted times.
 
-    Parabolas are fitted to the points within the window, weighed by (1 - (age / window)^2)^2 and by
-    their deviations. NaN, and a count of 0, in gaps and beyond the ends: there are to be two points
-    on each side, and one more in all than a parabola has coefficients.
+    Parabolas are fitted to the points within the window, weighted by (1 - (age / window)^2)^2 over
+    their variances. NaN, and a count of 0, in gaps and beyond the ends: there must be two points on
+    each side, and in all one more than a parabola has coefficients.
     """
     n, m, min_side = len(times_s), len(wanted_s), 2
     positions, velocities = np.full((m, 2), np.nan), np.full((m, 2), np.nan)

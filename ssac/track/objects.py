@@ -1,9 +1,9 @@
-"""The things that move before one camera, each followed as far as it can be.
+"""Find the objects that move before one camera, and follow each as far as possible.
 
-Ordinary recordings show one thing, as a few short bins of time tell. Where there are several, the
-events of each bin fall into blobs: cells that hang together. These are followed from bin to bin as
-pieces of paths, which end where two meet or one comes apart. Cells of what stays in its place, as a
-branch in the wind, are left out.
+Ordinary recordings show one object, as a few short bins of time tell. Where there are several, the
+events of each bin are grouped into blobs of connected cells. Blobs are followed from bin to bin as
+pieces of paths, which end where two blobs meet or one splits. Cells of things that stay in place,
+such as a branch in the wind, are left out.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ class Blobs:
 
     bins: IntArray  # (k,) ascending
     n_events: Array  # (k,)
-    centres_px: Array  # (k, 2) of the raw pixels
+    centres_px: Array  # (k, 2) in raw pixels
     sizes_px: Array  # (k,) rms
     corners_px: Array  # (k, 4) least x and y, largest x and y
     at_still: Mask  # (k,) beside something that stays in its place
@@ -34,38 +34,38 @@ class Blobs:
 
 @dataclass(frozen=True)
 class Piece:
-    """A thing's path for as long as it is alone."""
+    """An object's path for as long as it is alone."""
 
     first: int  # bin, counted from the recording's start
     positions_px: Array  # (n, 2) undistorted, one for each bin
     n_events: Array  # (n,)
     size_px: float  # median rms size of the image
-    blobs: IntArray  # (n,)
+    blobs: IntArray  # (n,) index of its blob in each bin
 
     @property
     def last(self) -> int:
-        """Bin after the last."""
+        """Bin after the last one of the piece."""
         return self.first + len(self.positions_px)
 
 
 @dataclass(frozen=True)
 class Objects:
-    """The things that move before one camera."""
+    """The objects that move before one camera."""
 
     start_us: int  # of the first bin
     bin_us: int  # length of a bin
-    are_several: bool  # not the parts of one, which keep together
-    n_seen: int  # at a time, those that stay in their place included
-    pieces: list[Piece]  # of those that move, in order of time
-    blob_of_event: Labels = field(repr=False)  # (n,) -1: of none
+    are_several: bool  # several objects, not parts of one, which stay together
+    n_seen: int  # objects at a time, including those that stay in place
+    pieces: list[Piece]  # of objects that move, in order of time
+    blob_of_event: Labels = field(repr=False)  # (n,); -1: of none
 
     def events_of(self, pieces: list[Piece]) -> Mask:
-        """Tell which events (n,) belong to some of the pieces."""
+        """Tell which events (n,) belong to any of these pieces."""
         return np.isin(self.blob_of_event, [k for piece in pieces for k in piece.blobs])
 
 
 def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
-    """Whether more than one thing is seen at a time, by some of the bins."""
+    """Whether more than one object is seen at a time, judged by some of the bins."""
     if len(events) == 0:
         return False
     cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us, rules.look_every)
@@ -75,7 +75,7 @@ def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
 
 
 def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
-    """Follow all that moves in a camera's denoised events (n,), sorted by time."""
+    """Follow all moving objects in a camera's denoised events (n,), sorted by time."""
     cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us)
     blobs, _, n_full = _blobs(events, bounds, cells, rules)
     n_things = _things(blobs, len(bounds), cells.size_px, rules)
@@ -89,7 +89,7 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     is_part = _are_parts(blobs, extent_px)
     pieces = [_piece(path, blobs, camera) for path in paths if np.mean(is_part[path]) < 0.5]
     share_apart = _bins_of_their_own_way(pieces, extent_px, rules) / len(bounds)
-    # A large object fills cells for long too, but comes apart now here and now there.
+    # A large object also fills cells for long, but its blobs split at ever other places.
     longest = max((len(piece.positions_px) for piece in pieces), default=0)
     has_still = share_still > rules.several_share and longest >= rules.lasting_bins
     are_several = has_still or share_apart > 0.5 * rules.several_share
@@ -98,7 +98,7 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Squares of a sensor."""
+    """Square cells of a sensor."""
 
     size_px: int
     still: Mask  # (rows, columns) in which something stays in its place
@@ -112,7 +112,7 @@ class _Cells:
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
-    """First event of each `every`-th bin from the first event on, and that after its end (b, 2)."""
+    """Return the indices (b, 2) of the first events in each `every`-th bin and after its end."""
     times_us = events["t"]
     n_bins = int(times_us[-1] - times_us[0]) // bin_us + 1
     starts = np.arange(0, n_bins, every, dtype=np.int64)
@@ -123,7 +123,7 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
 def _blobs(
     events: Events, bounds: IntArray, cells: _Cells, rules: ObjectRules
 ) -> tuple[Blobs, Labels, IntArray]:
-    """Find the blobs, that of each event (n,), -1 of none, and in how many bins cells are full."""
+    """Find blobs, the blob of each event (n,), -1: none, and in how many bins each cell is full."""
     labels, bins, at_still, n_full = _labelled(events, bounds, cells, rules.full_cell_events)
     counts = np.bincount(labels + 1, minlength=len(bins) + 1)[1:]
     kept = counts >= rules.least_blob_events
@@ -147,8 +147,8 @@ def _blobs(
 def _labelled(
     events: Events, bounds: IntArray, cells: _Cells, full: int
 ) -> tuple[Labels, IntArray, Mask, IntArray]:
-    """Label connected clusters of cells with events, bin by bin of time, but for still cells."""
-    # So many events of a cell hold it together with its neighbours: it is full. Given are the
+    """Label the connected clusters of full cells in each bin of time, leaving out still cells."""
+    # A cell with `full` events or more is full, and joins its full neighbours. Returned are the
     # cluster of each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether
     # it touches a still cell (k,); and in how many bins each cell (rows, columns) is full.
     still, beside = cells.still, np.ones((3, 3), np.bool_)
@@ -166,7 +166,7 @@ def _labelled(
         found = np.zeros(still.shape, np.int32)
         label(is_full, beside, output=found)
         n = int(found.max())
-        # Clusters count in the order of their first events; the first one takes the cells beside.
+        # Clusters are numbered by their first events; the first also takes the cells beside it.
         of_events = found.flat[own]
         _, firsts = np.unique(of_events[of_events > 0], return_index=True)
         order = np.append(n, np.argsort(np.argsort(firsts)))[found]
@@ -179,7 +179,7 @@ def _labelled(
 
 
 def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> IntArray:
-    """Count the things (b,) in each bin: blobs well apart, the largest first."""
+    """Count the objects (b,) in each bin: blobs well apart, taken from the largest on."""
     counts = np.bincount(blobs.bins, minlength=n_bins)
     starts = np.cumsum(counts) - counts
     things = np.minimum(counts, 1)
@@ -198,14 +198,14 @@ def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> IntA
 
 
 def _are_apart(one: Array, other: Array, cell_px: int, rules: ObjectRules) -> bool:
-    """Whether the gap between two boxes is large beside the larger of them."""
+    """Whether the gap between two boxes is large compared with the larger of them."""
     gap_px = float(np.max([one[:2] - other[2:], other[:2] - one[2:]]))
     larger_px = max(np.hypot(*(one[2:] - one[:2])), np.hypot(*(other[2:] - other[:2])))
     return bool(gap_px > max(rules.apart_cells * cell_px, rules.apart_sizes * larger_px))
 
 
 def _extent_px(blobs: Blobs, n_bins: int) -> float:
-    """Median of each bin's longest diagonal of a blob."""
+    """Median [px] over the bins of the longest diagonal of a blob."""
     longest_px = np.zeros(n_bins)
     diagonals_px = np.hypot(*(blobs.corners_px[:, 2:] - blobs.corners_px[:, :2]).T)
     np.maximum.at(longest_px, blobs.bins, diagonals_px)
@@ -213,7 +213,7 @@ def _extent_px(blobs: Blobs, n_bins: int) -> float:
 
 
 def _are_parts(blobs: Blobs, extent_px: float) -> Mask:
-    """Tell which blobs (k,) are seen nearer to a brighter one than a whole object is long."""
+    """Tell which blobs (k,) have one of more events in the bin nearer than an object's extent."""
     are_parts = np.zeros(len(blobs.bins), np.bool_)
     for step in range(1, int(np.max(np.bincount(blobs.bins), initial=0))):
         here, there = slice(None, -step), slice(step, None)
@@ -246,14 +246,14 @@ def _bins_of_their_own_way(pieces: list[Piece], extent_px: float, rules: ObjectR
 
 @dataclass(eq=False)
 class _Path:
-    """A piece in the making."""
+    """A piece that is still being followed."""
 
     blobs: list[int]  # of successive bins
-    is_mixed: bool  # two things that met are in it
+    is_mixed: bool  # it holds two objects that met
 
 
 def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
-    """Follow blobs from bin to bin; those of each path, of one a bin."""
+    """Follow blobs from bin to bin; return the blobs, one per bin, of each path of one object."""
     starts = np.searchsorted(blobs.bins, np.arange(n_bins + 1))
     going: list[_Path] = []
     done: list[_Path] = []
@@ -272,7 +272,7 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
             for k in covered:
                 if _overlap(np.tile(there_px, 2), blobs.corners_px[k], rules.margin_px):
                     inside[k].append(path)
-            if len(covered) > 1 or not here:  # it comes apart, or is gone
+            if len(covered) > 1 or not here:  # it splits, or is gone
                 continue
             distances_px = [float(np.hypot(*(blobs.centres_px[k] - there_px))) for k in here]
             least = int(np.argmin(distances_px))
@@ -299,7 +299,7 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
 
 
 def _overlap(one: Array, other: Array, margin_px: float = 0.0) -> bool:
-    """Whether two boxes (4,) have points in common, the second with a margin."""
+    """Whether two boxes (4,) overlap, the second widened by a margin."""
     low, high = other[:2] - margin_px, other[2:] + margin_px
     return bool(np.all(one[:2] <= high) and np.all(low <= one[2:]))
 

@@ -1,4 +1,4 @@
-"""What one camera recorded, in its own clock, as it is before anything is done to it."""
+"""One camera's recording in the camera's own clock, before any processing."""
 
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -16,13 +16,13 @@ Seen = TypeVar("Seen", bound="Observation")
 
 @dataclass(frozen=True)
 class Observation:
-    """Events, a track of points in their place, and intensity frames where there are any."""
+    """One camera's events, or a track of points in their place, with intensity frames if any."""
 
     events: Events  # (n,) of EVENT_DTYPE, sorted by time
     frames: NDArray[np.generic] | None = None  # (m, height, width) intensities, for ZNCC_F
     frame_times_s: Array | None = None  # (m,) [s], ascending
-    track: PointTrack | None = None  # in place of events, of which there are then none
-    name: str = ""  # for messages: a file's path; empty: by its number
+    track: PointTrack | None = None  # in place of events: `events` is then empty
+    name: str = ""  # for messages: a file's path; empty: they number the camera
 
     @property
     def has_track(self) -> bool:
@@ -41,9 +41,9 @@ class Observation:
         return float(start_us) / US_PER_S, float(end_us) / US_PER_S
 
     def delayed(self: Seen, t_d_s: float) -> Seen:
-        """As if the camera's clock had shown `t_d_s` [s] more.
+        """Return the observation as if the camera's clock had shown `t_d_s` [s] more.
 
-        Events count whole microseconds, so the delay is rounded to these, for frames as well.
+        Events have times in whole microseconds. The delay is rounded to these for all data alike.
         """
         shift_us = round(t_d_s * US_PER_S)
         events = copied(self.events)
@@ -56,15 +56,15 @@ class Observation:
         return replace(self, events=events, frame_times_s=times_s, track=track)
 
     def read(self, frames: str = "") -> "Observation":
-        """Give itself: what is in memory need not be read, as a file must be."""
-        del frames  # which stand beside the events, if there are any
+        """Return the observation itself: it is in memory, so no file is read."""
+        del frames  # they are in the observation already, if there are any
         return self
 
 
 def check_seen(seen: Observation, name: str) -> None:
-    """Raise SsacError, starting with `name`, unless all of an observation is of its kind.
+    """Raise SsacError, starting with `name`, unless all parts of an observation have their type.
 
-    What the events and points are is checked where they are cleaned.
+    The values of events and points are checked by `clean`.
     """
     track, images, times_s = seen.track, seen.frames, seen.frame_times_s
     check_event_array(seen.events, name)
@@ -95,5 +95,5 @@ def _is_numeric(part: object, n_axes: int) -> bool:
 
 
 def tracked(track: PointTrack, name: str = "") -> Observation:
-    """Observe with a camera of any kind, which gave a track in place of events."""
+    """Return the observation of a camera of any kind that gave a track in place of events."""
     return Observation(np.empty(0, EVENT_DTYPE), track=track, name=name)

@@ -2,13 +2,13 @@
 
 The epipolar planes of two cameras are a pencil: they all hold the baseline, and an angle about it
 tells one from another. Whatever the object's shape, the two planes that just touch it are the same
-for both cameras. They touch it in points of its outline, the frontier points, so those of one view
-and of the other are pairs p2' F p1 = 0, as if they were images of one point.
+for both cameras. They touch it in points of its outline, the frontier points, whose images in the
+two views satisfy p2' F p1 = 0, as if they were images of one point.
 
 In a view such a tangent is the extreme of the angles of the object's events. It moves, so the
-events of a window are first taken back by the tangent's own course: by the track's in a first pass
-over short windows, then by the smoothed course that was found, over longer ones. `docs/tangency.md`
-says why.
+events of a window are first moved back along the tangent's course: along the track's in a first
+pass over short windows, then along the smoothed course found there, over longer windows.
+`docs/tangency.md` says why.
 """
 
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ OutlineConfig = OutlineRules
 
 @dataclass(frozen=True)
 class OutlineEvents:
-    """Events of one camera near one tangent, and the course from which they are ranked."""
+    """Events of one camera near one tangent, and the course that their angles are measured from."""
 
     times_us: IntArray  # (m,) [us], sorted
     points_px: Array  # (m, 2) undistorted
     on_border: Mask  # (m,)
-    course_rad: Array  # (n,) at the sample times, from the track's angle, towards the side
+    course_rad: Array  # (n,) at the sample times, from the track's angle, positive outwards
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Tangents:
     """The tangent on one side of the object, at n instants of the camera's clock."""
 
     points_px: Array  # (n, 2) where it touches the outline
-    velocities_px_s: Array  # (n, 2) of the tangent, across itself
-    spreads_px: Array  # (n,) between events of the two ranks: how blurred the outline is
+    velocities_px_s: Array  # (n, 2) of the tangent, perpendicular to itself
+    spreads_px: Array  # (n,) distances between the two ranks' events: blur of the outline
     valid: Mask  # (n,)
 
 
@@ -53,11 +53,11 @@ def near_outline(
 ) -> list[OutlineEvents]:
     """Find the courses of the upper and of the lower tangent, and the events near each.
 
-    These few are all that `tangents` needs, also for a pencil and times a little different.
+    `tangents` needs only these few events, even for a pencil and times that differ a little.
     """
     course = _Course.of(motion, pencil, times_s, config)
     blocks = _Blocks.of(motion.times_us, times_s, config)
-    sums_px = motion.position_sums_px  # the positions of all events would take as much again
+    sums_px = motion.position_sums_px  # positions of all events would take as much memory again
     values = blocks.angles(sums_px, course.angles_rad, pencil)
     kept = []
     for side in (1.0, -1.0):
@@ -68,7 +68,7 @@ def near_outline(
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
         events = OutlineEvents(
             motion.times_us.take(chosen),
-            # By `take`, which is several times as fast as an index.
+            # `take` is several times as fast as an index.
             sums_px.take(chosen + 1, axis=0) - sums_px.take(chosen, axis=0),
             motion.border_sums.take(chosen + 1) > motion.border_sums.take(chosen),
             _filled(times_s, course.smoothed(rough_rad, config)[0])
@@ -102,7 +102,7 @@ def tangents(
 
 @dataclass(frozen=True)
 class _Course:
-    """The track in a pencil, from whose angles those of events are counted."""
+    """The track's angles in a pencil, from which the angles of the events are measured."""
 
     times_s: Array  # (n,)
     angles_rad: Array  # (n,) without jumps, and interpolated where the track is invalid
@@ -111,7 +111,7 @@ class _Course:
     valid: Mask  # (n,)
 
     def smoothed(self, angles_rad: Array, config: OutlineConfig) -> tuple[Array, Array]:
-        """Smooth the angles (n,) of a tangent, two steps or more to each side; and their slopes."""
+        """Smooth angles (n,) over two or more steps on each side; return their slopes too."""
         return local_parabolas(angles_rad, max(self.steps(config.smoothing_s), 2))
 
     def steps(self, duration_s: float) -> int:
@@ -137,13 +137,13 @@ class _Course:
 
 
 _Extremes = tuple[Array, Array, Indices]
-"""How far up the outline reaches in a window about each of n times: angles (n,) [rad] from the
-course, NaN without enough events; gaps (n,) between the two ranks; the first rank's events (n,)."""
+"""Extremes of the outline in a window about each of n times: angles (n,) [rad] from the course,
+NaN with too few events; gaps (n,) [rad] between the ranks; indices (n,) of the first's events."""
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Events in blocks of half a sample step, which begin and end at the samples' windows' ends."""
+    """Events in blocks of half a sample step; the samples' windows begin and end at block edges."""
 
     times_us: IntArray  # (m,) of the events
     times_s: Array  # (n,) of the samples
@@ -163,18 +163,18 @@ class _Blocks:
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:
-        """Interpolate what is known at the samples; constant beyond them."""
+        """Interpolate values at the samples to the block edges; constant beyond the samples."""
         return np.asarray(np.interp(1e-6 * self.edges_us, self.times_s, values))
 
     def angles(self, points_px: Array, course_rad: Array, pencil: Pencil) -> Array:
-        """Tangents of the angles (m,) of the events from a course (n,)."""
+        """Return tan (m,) of the angles of the events from a course (n,)."""
         edges = self.bounds, self.edges_us, self.at_edges(course_rad)
         return angles_from_course(self.times_us, points_px, *edges, pencil.sine, pencil.cosine)
 
     def extremes(
         self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
-        """Find how far up the outline reaches in the windows about the usable samples."""
+        """Find the extremes of the outline in the windows about the usable samples."""
         # The very highest value may be noise. Any rank lies inside the outline, the more so the
         # fewer events there are near it; the gap to a deeper rank tells how much.
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
@@ -191,7 +191,7 @@ class _Blocks:
 def _ranked(
     side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
 ) -> tuple[_Blocks, Array, _Extremes]:
-    """Angles of the events from the known course of their tangent, and their extremes."""
+    """Return tan of the events' angles from the known course of their tangent, and the extremes."""
     blocks = _Blocks.of(events.times_us, course.times_s, config)
     course_rad = course.angles_rad + side * events.course_rad
     values = blocks.angles(events.points_px, course_rad, pencil)
@@ -202,7 +202,7 @@ def _ranked(
 def _followed(
     side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
 ) -> OutlineEvents:
-    """Follow a tangent more closely, and keep the events that can then be of one of the ranks."""
+    """Refine a tangent's course, and keep the events that can still be of one of the ranks."""
     blocks, values, (found_rad, gaps_rad, _) = _ranked(side, events, course, pencil, config)
     deeper_rad = found_rad - (1.0 + config.outward) * gaps_rad
     lowest_rad = _filled(course.times_s, deeper_rad) - config.margin_px * course.rad_per_px
@@ -230,7 +230,7 @@ def _tangent(
     tangent_rad = course.angles_rad + side * angles_rad
     _, slopes = course.smoothed(tangent_rad, config)
 
-    # Along the line, the event and the track's velocity say well enough where it touches.
+    # The event, moved with the track's velocity, tells well enough where the tangent touches.
     ages_s = 1e-6 * events.times_us[at] - times_s
     points = events.points_px[at] - ages_s[:, None] * course.velocities_px_s
     gradients = pencil.gradients(points)
@@ -263,7 +263,7 @@ def _filled(times_s: Array, values: Array) -> Array:
 
 
 _TIE = 1e-12
-"""Differences of tangents that rounding may make, as a row of pixels may be an epipolar line: the
+"""Difference of tan that rounding may cause, as a row of pixels may be an epipolar line: the
 earlier event then counts as the higher."""
 
 
@@ -277,12 +277,12 @@ def angles_from_course(
     sine: Array,
     cosine: Array,
 ) -> Array:
-    """Tangents (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
+    """Return tan (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
 
     The events of block i are those from bounds[i] (b + 1,) up to bounds[i + 1]; the values of
-    events in no block are not set. The course (b + 1,) [rad] is that at the blocks' edges, between
-    which its direction is interpolated; sine and cosine (3,) are the pencil's. Points are (n, 2),
-    or their cumulative sums from zero on (n + 1, 2).
+    events in no block are not set. The course (b + 1,) [rad] is given at the blocks' edges,
+    between which its direction is interpolated; sine and cosine (3,) are the pencil's. Points are
+    (n, 2), or their cumulative sums from zero on (n + 1, 2).
     """
     out = np.empty(len(times_us))
     are_summed = len(points_px) > len(times_us)
@@ -297,7 +297,7 @@ def angles_from_course(
         sin_start, cos_start = np.sin(course[i]), np.cos(course[i])
         sin_slope = (np.sin(course[i + 1]) - sin_start) / length_us
         cos_slope = (np.cos(course[i + 1]) - cos_start) / length_us
-        # Nothing but numbers of its own in the loop: it is compiled to vector instructions.
+        # The loop uses only local variables, so that it compiles to vector instructions.
         for k in range(len(ages_us)):
             s = s0 * points[k, 0] + s1 * points[k, 1] + s2
             c = c0 * points[k, 0] + c1 * points[k, 1] + c2
@@ -313,7 +313,7 @@ def angles_from_course(
 def highest_in_blocks(
     values: Array, bounds: Indices, side: float, depth: int
 ) -> tuple[Array, Indices]:
-    """Highest of side * values in each of b blocks, descending: values and indices (b, depth).
+    """Find the highest side * values of b blocks, descending: values and indices (b, depth).
 
     Minus infinity where a block has fewer. NaN is never among them.
     """
@@ -361,7 +361,7 @@ def ranked_in_windows(
 
 @numba.njit(cache=True)
 def _insert(value: float, index: int, top: Array, at: Indices) -> None:
-    """Put a value in its place among the descending ones; the last is lost."""
+    """Insert a value, in place, into the descending `top`; the last value drops out."""
     j = len(top) - 1
     while j > 0 and top[j - 1] < value - _TIE:
         top[j], at[j] = top[j - 1], at[j - 1]
@@ -377,7 +377,7 @@ def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> N
     for i in range(len(bounds) - 1):
         limit = min(limits[i], limits[i + 1])
         for k in range(bounds[i], bounds[i + 1]):
-            found[np.uint32(n)] = k  # and written over, where it is not above: nothing to foresee
+            found[np.uint32(n)] = k  # overwritten if not above: no branch to predict
             n += side * values[k] > limit
     return found[:n].copy()
 
@@ -386,8 +386,8 @@ def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> N
 def local_parabolas(values: Array, reach: int) -> tuple[Array, Array]:
     """Value and slope per step (n,) of parabolas fitted about each of n even samples.
 
-    By tricube weights over `reach` samples on each side; NaN, where the sample is itself or fewer
-    than half of those around it are known.
+    The weights are tricube over `reach` samples on each side. NaN where the sample itself is NaN,
+    or where fewer than half of those around it are known.
     """
     n = len(values)
     smooth, slopes = np.full(n, np.nan), np.full(n, np.nan)

@@ -1,13 +1,13 @@
-"""The silhouette of the object: the centre and the shape of its image, from one camera's events.
+"""Find the object's silhouette, the centre and shape of its image, from one camera's events.
 
-The mean of the events strays over the object as it turns, the centre of the image's area far less.
-Counted up, a pixel's events say how many thresholds it is off what it shows when nothing is before
-it: its level. At the instant of an event it is a whole number, interpolated in between. Boxes
-(n, 4) [least x, largest x, least y, largest y], ends included, hold all of the object at n times; a
-pixel that is out of the box is at rest.
+The mean of the events wanders over the object as it turns, the centre of the image's area far less.
+The sum of a pixel's events is its level: by how many contrast thresholds it differs from the bare
+background. It is a whole number at an event, and is interpolated in between. Boxes (n, 4)
+[least x, largest x, least y, largest y], ends included, hold all of the object at n times; a pixel
+outside the box is at rest.
 
-Thresholds that differ, pixels that are blind after an event, and noise count wrong. There it is
-taken for granted that what leaves its level comes back to it: steps back are as large as it takes.
+Thresholds that differ, pixels that are blind after an event, and noise make the sums wrong. There
+a pixel is assumed to come back to its level at rest, and its steps back are scaled accordingly.
 """
 
 from collections.abc import Callable
@@ -28,30 +28,30 @@ Levels = NDArray[np.float32]
 Links = NDArray[np.int32]
 
 Linked = tuple[Levels, Links, Links]
-"""Levels just after the events, and the events of the pixel, while it was in the box, before and
-after each, `NONE` without."""
+"""Levels just after the events, and the indices of the same pixel's events before and after each,
+during its stay in the box; `NONE` without."""
 
 Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, IntArray]]
 """Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
 
 Counted = tuple[Seen, NDArray[np.uint8]]
-"""What is seen of some events, and their polarities."""
+"""Events as in `Seen`, and their polarities."""
 
 Counts = NDArray[np.int32]
 
 NONE = -1
-"""In place of an event's number."""
+"""In place of an event's index where there is no event."""
 
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """Of the object alone, in square windows: n of them, w pixels wide."""
+    """Images of the object alone, in n square windows that are w pixels wide."""
 
-    shares: NDArray[np.float32]  # (n, w, w) of each pixel that is covered
+    shares: NDArray[np.float32]  # (n, w, w) covered share of each pixel
     corners_px: IntArray  # (n, 2) column and row of the first pixel
 
     def of(self, chosen: Mask) -> "Images":
-        """Give some of them."""
+        """Return only the chosen images."""
         return Images(self.shares[chosen], self.corners_px[chosen])
 
 
@@ -59,13 +59,13 @@ class Images:
 class Silhouettes:
     """The object's image at the points of a track."""
 
-    centres_px: Array  # (n, 2) of its area, in the image as it is; NaN where it is not known
+    centres_px: Array  # (n, 2) of its area, in the distorted image; NaN: not known
     spreads_px2: Array  # (n, 3) its second moments xx, xy and yy; NaN likewise
-    images: Images  # all of it
+    images: Images  # at all n points
 
     @property
     def known(self) -> Mask:
-        """Where there is one (n,)."""
+        """Mask (n,) of the points with a known silhouette."""
         return np.isfinite(self.centres_px[:, 0])
 
 
@@ -78,15 +78,15 @@ def silhouettes(
     sizes_px: Array,
     rules: SilhouetteRules,
 ) -> Silhouettes | None:
-    """Find the object's silhouettes; None where it is too small, or the events do not tell.
+    """Find the object's silhouettes; None if it is too small, or the events do not determine them.
 
-    All events that the camera recorded are counted, and where these do not come out even the
-    denoised ones, of which some are missing. The track (n,) is of their mean, undistorted; sizes
-    are root mean square radii of the image.
+    All events that the camera recorded are counted, or, if the levels do not come back to
+    rest, the denoised ones, of which some are missing. The track (n,) is the undistorted mean of
+    the events; sizes are root mean square radii of the image.
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
-    # Whole microseconds, places without rounding errors: a clock that shows more changes no bit.
+    # Times in whole us, positions rounded: a shift of the clock then changes no bit of the result.
     times_us = np.rint(1e6 * times_s).astype(np.int64)
     where_px, sizes_px = np.round(distort_points(camera, points_px), 4), np.round(sizes_px, 4)
     samples_us, boxes, own = _boxes(times_us, where_px, sizes_px, camera, rules)
@@ -128,7 +128,7 @@ def _counted_up(
     ramps_us: Array,
     rules: SilhouetteRules,
 ) -> tuple[Seen, Linked, float] | None:
-    """Count up all events, or else the denoised ones; beside the level of a covered pixel."""
+    """Sum up all events, or else the denoised ones; return the level of a covered pixel too."""
     counted = prepared(recorded)
     if counted is None:
         return None
@@ -147,7 +147,7 @@ def _counted_up(
         linked = levels, *linked[1:]
     (times_us, *_), _, (samples_us, _) = seen = counted[0]
     levels = np.abs(linked[0][np.searchsorted(times_us, samples_us[0]) :])
-    levels = levels if is_even else levels[levels > 0.0]  # lone steps count for nothing
+    levels = levels if is_even else levels[levels > 0.0]  # lone steps have level 0
     if len(levels) == 0:
         return None
     return seen, linked, float(np.percentile(levels.astype(np.float64), rules.full_percentile))
@@ -156,10 +156,10 @@ def _counted_up(
 def _with_covered(
     counted: Counted, start_px: Array, reach_px: float, min_share: float
 ) -> Counted | None:
-    """Put first the events by which the object would have covered what it covers at the start."""
-    # They are as many as a pixel gets lighter by, of an object that is darker than what it passes,
-    # or darker by, of a light one. None unless that share of these pixels is where the object
-    # starts (2,), within reach of it: one that is both is in doubt everywhere.
+    """Put first the events with which the object would have covered its pixels at the start."""
+    # A pixel gets as many as it turns lighter by when a dark object uncovers it, or darker by with
+    # a light one. None unless `min_share` of these pixels are within reach of the start (2,): with
+    # an object both darker and lighter than the background, every pixel is in doubt.
     ((times_us, x, y), shape, samples), polarities = counted
     levels, has_left, least, most = _levels_since_start(*counted)
     is_dark = np.count_nonzero(least < -1) < np.count_nonzero(most > 1)
@@ -182,11 +182,11 @@ def _with_covered(
 def _levels_since_start(
     seen: Seen, polarities: NDArray[np.uint8]
 ) -> tuple[Counts, Mask, Counts, Counts]:
-    """Count up each pixel's events, darker up, until it leaves the box for the first time."""
-    # Given are the levels then, whether it did leave, and the least and largest ones before.
+    """Sum each pixel's events, +1 for darker, until it leaves the box for the first time."""
+    # Returned are the levels then, whether it left, and the least and largest levels before.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     n = len(samples_us)
-    inside = np.zeros(shape, np.int32)  # the last sample with it in the box, since the start
+    inside = np.zeros(shape, np.int32)  # last sample until which the pixel stayed in the box
     level = np.zeros(shape, np.int32)
     least, most = level.copy(), level.copy()
     i = 1
@@ -213,7 +213,7 @@ def _seen(events: Events, camera: Camera, samples_us: IntArray, boxes: IntArray)
 def _boxes(
     times_us: IntArray, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
 ) -> tuple[IntArray, IntArray, Indices]:
-    """Give times [us] and boxes of samples, all of the view in gaps, and which are points."""
+    """Return samples' times [us] and boxes, the whole view in gaps, and the points' indices."""
     largest_px = maximum_filter1d(sizes_px, 2 * rules.box_points + 1)
     reach_px = rules.box_sizes * largest_px + rules.box_px
     most = np.array([camera.width - 1, camera.height - 1])
@@ -233,20 +233,20 @@ def _boxes(
 
 @numba.njit(cache=True)
 def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, int, int]:
-    """Give each event's level, positive where darker, and the events before and after it."""
-    # The level at rest is 1 after darkness and -1 after light: a pixel is up to a threshold short
-    # of being back. Given beside is how often a pixel came to rest, and how often it did so within
-    # a threshold of where it had been.
+    """Return each event's level, positive for darker, and the events before and after it."""
+    # The level at rest is 1 after a darker and -1 after a lighter spell: a pixel stops up to one
+    # threshold short of its old value. Also returned are how often pixels came to rest, and how
+    # often they did so within a threshold of their old level.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.float32)
     before, after = np.full(m, NONE, np.int32), np.full(m, NONE, np.int32)
     level = np.zeros(shape, np.int32)
-    step = np.zeros(shape, np.int8)  # of the pixel's last event
-    run = np.zeros(shape, np.int32)  # of its last events of one polarity
+    step = np.zeros(shape, np.int8)  # sign of the pixel's last event
+    run = np.zeros(shape, np.int32)  # number of its last events of one polarity
     last = np.full(shape, NONE, np.int32)
     never = -2
-    inside = np.full(shape, never, np.int32)  # the last sample with it in the box
+    inside = np.full(shape, never, np.int32)  # last sample with the pixel in the box
     seen_bare = np.zeros(shape, np.bool_)
     rests, closed = 0, 0
     i = 0
@@ -254,7 +254,7 @@ def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, i
         while i < n - 1 and times_us[e] > samples_us[i]:
             for row in range(boxes[i, 2], boxes[i, 3] + 1):
                 for col in range(boxes[i, 0], boxes[i, 1] + 1):
-                    if inside[row, col] < i - 1:  # it comes into the box
+                    if inside[row, col] < i - 1:  # the pixel enters the box
                         last[row, col] = NONE
                         if run[row, col] > 1 or abs(level[row, col]) > 1:
                             if seen_bare[row, col] and inside[row, col] != never:
@@ -291,10 +291,10 @@ def _evened(
     links: tuple[Links, Links],
     back_shares: tuple[float, float],
 ) -> tuple[Levels, int, int]:
-    """Give the events' levels (m,), each pixel's of which come back to where they left from."""
-    # A lone step is noise, and so is what never comes back but in the last `open_us` of the
-    # recording. Given beside is how often more than that was left, and how often it came back by
-    # itself, as `_excursion` tells.
+    """Return the events' levels (m,), scaled so that each pixel comes back to its level at rest."""
+    # A lone step is noise, and so is an excursion without any step back, except in the last
+    # `open_us` of the recording. Also returned are the number of all larger excursions but open
+    # ones, and the number that come back by themselves, as `_excursion` tells.
     before, after = links
     left, came_back = 0, 0
     levels = np.zeros(len(times_us), np.float32)
@@ -317,7 +317,7 @@ def _evened(
                     levels[i] = max(level, 0.0) if peak > 0 else -max(level, 0.0)
                     i = after[i]
                 if not is_open:
-                    levels[last] = 0.0  # but for rounding it is
+                    levels[last] = 0.0  # without rounding errors
             first = after[last]
     return levels, left, came_back
 
@@ -331,10 +331,10 @@ def _excursion(
     after: Links,
     back_shares: tuple[float, float],
 ) -> tuple[int, int, int, int, bool]:
-    """Follow a pixel's level from an event on until it is back."""
-    # It is back where nothing follows for long and little is left, the first share of the peak; or
-    # the second, if it was on its way and what follows leads away again. Given are the last event,
-    # the peak, the steps that made it darker and lighter, and whether it is back.
+    """Follow a pixel's level from an event until it is back at rest."""
+    # It is back if no event follows for `quiet_us` and at most the first share of the peak is left,
+    # or the second if it turns away next; also if it turns away where it has reached zero. Returned
+    # are the last event, the peak, the numbers of darker and lighter steps, and whether it is back.
     darker, lighter, peak = 0, 0, 0
     e = first
     while True:
@@ -365,23 +365,23 @@ def _image_sums(
     corners: IntArray,
     images: NDArray[np.float32],
 ) -> Array:
-    """Sum up the images of the object at n samples, by what `_linked_levels` gave: (n, 8)."""
-    # Area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many pixels of
-    # the box were never seen bare, and how many covered ones are on the border. In a ramp (n,) [us]
-    # an edge changes a level by one. The share is told by the level of a pixel covered all over,
-    # and its log contrast. Corners (n, 2) are column and row of each image's first pixel; images
-    # (n, w, w) are written in place.
+    """Return sums (n, 8) over the object's image at n samples, from linked levels."""
+    # Sums are area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
+    # pixels of the box were never seen bare, and how many covered ones are on the border. During a
+    # ramp (n,) [us] an edge changes a level by one. `share_of` is the level of a fully covered
+    # pixel, and its log contrast. Corners (n, 2) are column and row of each image's first pixel;
+    # images (n, w, w) are written in place.
     (times_us, x, y), shape, (samples_us, boxes) = seen
     (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
     m, n = len(times_us), len(samples_us)
     sums = np.zeros((n, 8))
     last = np.full(shape, NONE, np.int32)
-    inside = np.full(shape, -2, np.int32)  # the last sample with it in the box
+    inside = np.full(shape, -2, np.int32)  # last sample with the pixel in the box
     seen_bare = np.zeros(shape, np.bool_)
-    # The first event of each stay in the box is found from the one of the stay before.
+    # For each event, the first event of the pixel's next stay in the box.
     following = np.full(m, NONE, np.int32)
     coming = np.full(shape, NONE, np.int32)
-    bare_us = np.zeros((*shape, 2), np.int64)  # between which it is surely not covered
+    bare_us = np.zeros((*shape, 2), np.int64)  # between which the pixel is surely bare
     bare_us[:, :, 1] = np.iinfo(np.int64).max
     longest_us = np.max(ramps_us)
     for e in range(m - 1, -1, -1):
@@ -437,7 +437,7 @@ def _image_sums(
 def _bare_us(
     a: int, b: int, times_us: IntArray, levels: Levels, before: Links, longest_us: float
 ) -> tuple[int, int]:
-    """Give times between which `_level_at` is 0, of ramps up to the longest."""
+    """Return times [us] between which `_level_at` is 0, for all ramps up to the longest."""
     start_us, level_a, shrank = 0, 0.0, True
     if a != NONE:
         level_a = abs(float(levels[a]))
@@ -465,8 +465,8 @@ def _level_at(
     after: Links,
     ramp_us: float,
 ) -> float:
-    """Give a pixel's level, without sign, between its events a and b; either may be none."""
-    # Level 1 is left, unless b is near: it fades and comes as fast as before and after.
+    """Return a pixel's absolute level between its events a and b; either may be `NONE`."""
+    # From level 1 it becomes bare, unless b is near; it fades as before a, and rises as after b.
     fading, coming = 0.0, 0.0
     if a != NONE:
         level_a, ago_us = float(levels[a]), float(time_us - times_us[a])
@@ -477,7 +477,7 @@ def _level_at(
             was_left = abs(level_a) <= 1.0 and grows and (shrank or lasting_us > 3.0 * ramp_us)
             if not was_left:
                 done = ago_us / max(lasting_us, 1.0)
-                if grows == shrank:  # it turns in between, and stays as it was until near b
+                if grows == shrank:  # it turns in between, and keeps a's level until near b
                     coming_us = max(min(ramp_us, lasting_us), 1.0)
                     done = max(0.0, 1.0 - (lasting_us - ago_us) / coming_us)
                 return abs(level_a + (level_b - level_a) * done)

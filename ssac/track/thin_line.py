@@ -1,8 +1,8 @@
-"""The events of a thin line that holds the object: a thread, a wire, a rod.
+"""Find the events of a thin line that holds the object, such as a thread, a wire or a rod.
 
-Next to the object denoising does not tell such a line from it, and where that part ends is nothing
-that two cameras share. Further out the line is removed as noise, and there it is found with ease:
-it starts at the object, goes with it and on in one direction. An antenna or a leg ends.
+Next to the object, denoising keeps the line's events with the object's, up to a point that is not
+the same for two cameras. Further out it removes the line as noise, and there the line is easy to
+find: it starts at the object, moves with it and goes on in one direction. An antenna or a leg ends.
 """
 
 from dataclasses import dataclass
@@ -18,39 +18,39 @@ from ssac.rules import LineRules
 
 @dataclass(frozen=True)
 class _Window:
-    """The object in a window, and what is beside it, moved to the window's middle."""
+    """The object in a time window, and the events beside it, moved to the window's middle time."""
 
     size_px: tuple[int, int]  # of the view
     centre_px: Array  # (2,)
     velocity_px_us: Array  # (2,)
-    start_px: float  # of a line, from the centre
-    far_px: Array  # (m, 2) events further out, from the centre
+    start_px: float  # from the centre, beyond which a line is looked for
+    far_px: Array  # (m, 2) events further out, relative to the centre
 
 
 @dataclass(frozen=True)
 class _Line:
     """A line through, or near, an object's centre."""
 
-    angle_rad: float  # in which it goes, in the image
-    offset_px: float  # to the left of the centre, as seen in its direction
+    angle_rad: float  # of its direction in the image
+    offset_px: float  # from the centre, along the direction turned by 90 deg from x to y
     is_clear: bool = False
-    has_room: bool = True  # within the view, to be clear
+    has_room: bool = True  # it is long enough within the view to be clear
 
 
 def events_on_line(
     events: Events, kept: Events, width: int, height: int, rules: LineRules
 ) -> Mask | None:
-    """Find the events of a thin line that goes from the object on, far beyond it.
+    """Find the events of a thin line that leads from the object far beyond it.
 
-    Tells which of the n events that denoising left of all lie where such a line is; both are sorted
-    by time. None, unless there is one in much of the recording, on one side of the object.
+    Returns the mask (n,) of the events `kept` by denoising, out of all `events`, that lie on such a
+    line; both are sorted by time. None unless much of the recording shows it on the same side.
     """
     if len(kept) < rules.min_events:
         return None
     start_us, length_us = kept["t"][0], 2 * rules.half_window_us
     starts_us = np.arange(start_us, kept["t"][-1] + 1, length_us)
     ends = first_from(kept["t"], np.append(starts_us[1:], kept["t"][-1] + 1))
-    middles_us = starts_us[np.diff(ends, prepend=0) > 0] + rules.half_window_us  # hold an event
+    middles_us = starts_us[np.diff(ends, prepend=0) > 0] + rules.half_window_us  # with events
     numbers = list(range(0, len(middles_us), rules.look_every))
     step = max(1, len(numbers) // rules.first_windows)
     clear: dict[int, _Line] = {}
@@ -88,7 +88,7 @@ def events_on_line(
 def _window(
     events: Events, kept: Events, middle_us: np.int64, size_px: tuple[int, int], rules: LineRules
 ) -> _Window | None:
-    """Look at the object about a time; None where too little of it is seen."""
+    """Measure the object in the window about a time; None where it has too few events."""
     edges_us = middle_us + rules.half_window_us * np.array([-1, 0, 1])
     first, middle, last = first_from(kept["t"], edges_us)
     halves = middle - first, last - middle
@@ -120,7 +120,7 @@ def _voted(window: _Window, rules: LineRules) -> _Line | None:
     """Find the line through the object with the most events; None where there are few."""
     if len(window.far_px) < rules.min_far_events:
         return None
-    half = int((window.start_px - rules.from_px) / rules.from_reach)  # a line meets the object
+    half = int((window.start_px - rules.from_px) / rules.from_reach)  # the line meets the object
     found = _votes(window.far_px, window.start_px, rules.n_directions, half + 1)
     strips = found[:, :-2] + found[:, 1:-1] + found[:, 2:]
     direction, strip = np.unravel_index(int(np.argmax(strips)), strips.shape)
@@ -130,7 +130,7 @@ def _voted(window: _Window, rules: LineRules) -> _Line | None:
 
 @numba.njit(cache=True)
 def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> IntArray:
-    """Count the events of strips of a pixel (directions, 2 * most_px + 1), by their offsets."""
+    """Count the events in strips 1 px wide (directions, 2 * most_px + 1), by angle and offset."""
     found = np.zeros((n_directions, 2 * most_px + 1), np.int64)
     step_rad = 2.0 * np.pi / n_directions
     for i in range(len(points)):
@@ -147,7 +147,7 @@ def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> I
 
 
 def _fitted(window: _Window, angle_rad: float, offset_px: float, rules: LineRules) -> _Line | None:
-    """Fit a line to the events near a first one, and tell whether it is clear; None of few."""
+    """Fit a line to the events near a first line, and test if it is clear; None of too few."""
     for gate_px in (rules.first_gate_px, rules.gate_px, rules.gate_px):
         along, across = _turned(window.far_px, angle_rad)
         near = (np.abs(across - offset_px) < gate_px) & (along > window.start_px)
@@ -187,7 +187,7 @@ def _turned(points: Array, angle_rad: float | Array) -> tuple[Array, Array]:
 
 
 def _beside(kept: Events, middles_us: IntArray, course: Array, rules: LineRules) -> Mask:
-    """Tell the events near the line whose course (m, 6) is known in some windows."""
+    """Mask the events near the line, whose course (m, 6) is known in some of the windows."""
     middles = middles_us.astype(np.float64)
     turns = np.isfinite(course[:, 4])
     course[turns, 4] = np.unwrap(course[turns, 4])
