@@ -1,1 +1,1 @@
-"""The one robust least squares of all refinements, and the covariance of what it finds."""
+"""The robust least-squares fit of all refinements, and the covariance of its parameters."""

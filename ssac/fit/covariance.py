@@ -1,19 +1,19 @@
 """The covariance of a fit's parameters, from its residuals and their derivatives.
 
-What is left after a robust fit is no white noise: the object's outline, and still more the mean of
-its events, strays with attitude, slowly. So n residuals tell less than n independent ones, and the
-fit takes part of the slow error away, so that they look less correlated than they are.
+The residuals of a robust fit are not white noise: the object's outline, and still more the mean of
+its events, drifts slowly with attitude. So n residuals tell less than n independent ones, and the
+fit absorbs part of the slow error, so that they look less correlated than they are.
 
-The loss's gradients are taken to be, in each series, a stationary process with the autocovariance
-sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some times, alike in all
-series of one kind, such as tangents. The a_k are those for which the residuals' quadratic forms are
+In each series, the loss's gradients are modelled as a stationary process with the autocovariance
+sum_k a_k exp(-|lag| / T_k), a_k >= 0: white noise and components with correlation times T_k. All
+series of one kind, such as tangents, share the a_k, for which the residuals' quadratic forms are
 as large as expected *after* the fit (variance components by moments: Rao's MINQUE). A direction in
 which the loss is hardly curved counts as if it were curved a little, and 1.96 deviations are
 widened to Student's 95 % for the degrees of freedom of independent residuals.
 
-Series, such as the upper and the lower tangents, may have errors in common. Those count for the
-parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
-sum of the gradients at an instant is itself the process. See `docs/uncertainty.md`.
+Series, such as the upper and the lower tangents, may have errors in common. These count for the
+parameters of the clock, t_d first, and are left out for the pose. Where the clock alone is
+estimated, the sum of the gradients at an instant is itself the process. See `docs/uncertainty.md`.
 """
 
 from itertools import pairwise
@@ -28,7 +28,7 @@ from ssac.rules import FitRules
 NORMAL_95 = 1.96
 
 PRIOR = 1e3
-"""Deviation [s, rad, ...] of parameters of which nothing is known but what the data say."""
+"""Prior deviation [s, rad, ...] of parameters of which nothing is known beforehand."""
 
 
 def correlated_covariance(
@@ -46,24 +46,23 @@ def correlated_covariance(
 ) -> Array:
     """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
-    Times [s] of the residuals are of one series after another, each ascending; `jacobian` (n, p)
-    has their derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
-    derivatives of the loss. What is known of each parameter beside the data has `prior_deviations`
-    (p,), PRIOR for nothing, of which one counted in the fit as `prior_scales_px` (p,): where NaN,
-    as an independent residual. What the series' errors have in common counts for the parameters at
-    the places `common` (c,), and may lessen the first one's variance, too, if it `lessens`.
+    `times_s` has one series after another, each ascending; `jacobian` (n, p) has the residuals'
+    derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
+    derivatives of the loss. Each parameter has a prior deviation (p,), PRIOR where nothing is
+    known; in the fit one such deviation counts as `prior_scales_px` (p,), or where NaN as an
+    independent residual. Errors that series have in common count for the parameters at the places
+    `common` (c,); they may reduce the variance of the first of these only if `lessens`.
 
-    Kinds (n,), from 0 on, tell residuals whose errors are of another process apart; those of one
-    series are of one kind. All are when None.
+    `kinds` (n,), from 0 on, separate residuals whose errors are different processes; each series
+    is of one kind. None: all residuals are of one kind.
 
-    A short time shows few of the slowest errors, and by chance none: where `cautious`, it has no
-    more degrees of freedom than fading times of these, and of few nothing is lessened.
+    A short recording shows few of the slowest errors, and by chance none. If `cautious`, it has at
+    most as many degrees of freedom as longest fading times, and if few, no variance is reduced.
     """
     n, p = jacobian.shape
     curvature = mean_curvature(curvatures, rules)
     scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), 1e-9)
-    # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
-    # say no more than the priors.
+    # QR gives parameters in which the Jacobian is orthonormal; the priors are p more residuals.
     is_said = np.isfinite(prior_scales_px)
     scales_px = np.where(is_said, prior_scales_px, scale_px / np.sqrt(curvature))
     prior = np.diag(scales_px / (np.sqrt(curvature) * prior_deviations))
@@ -72,10 +71,10 @@ def correlated_covariance(
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
     meat, independent = _gradient_covariance(times_s, Q, left_px, rules, kinds)
     several = bool(np.any(np.diff(times_s) < 0.0))
-    is_clock = len(common) == p  # and nothing else: the pose is known
+    is_clock = len(common) == p  # nothing else is estimated: the pose is known
     if several and is_clock:  # the gradients' sum at an instant is the process
         found = [_sum_variance(times_s, column * left_px, rules) for column in Q.T]
-        # What it is with independent series, `meat`, gives the correlations.
+        # The correlations are those of `meat`, which takes the series as independent.
         variances = [variance for variance, _ in found]
         ratios = np.sqrt(variances / np.maximum(np.diag(meat), 1e-300))
         meat = meat * np.outer(ratios, ratios) if p > 1 else np.array([variances])
@@ -89,27 +88,27 @@ def correlated_covariance(
     if several and not is_clock:
         for k in common:
             factor = _common_factor(times_s, Q @ root[k] * left_px, rules)
-            # What is in common to all series makes no rate of a clock surer, as it drifts with it.
+            # Errors common to all series make no rate of a clock surer: they drift as it does.
             may_lessen = lessens and k == common[0]
             factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
-    # Parameters, or parts of them, that are from the data and not from what was known beforehand.
+    # Effective number of parameters that the data determine, not the priors.
     told = p - float(np.sum(Q_prior[prior_deviations < PRIOR] ** 2))
     factors *= student_factor(min(independent - told, fading_times))
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 
 
 def student_factor(freedom: float) -> float:
-    """Widening of a deviation, so that 1.96 of it are Student's 95 %; at least one degree."""
+    """Factor that widens 1.96 deviations to Student's 95 %; freedom counts as 1 at least."""
     return float(stdtrit(max(freedom, 1.0), 0.975)) / NORMAL_95
 
 
 def mean_curvature(curvatures: Array, rules: FitRules) -> float:
-    """Mean of a loss's second derivatives (n,), which is not taken for less than a little."""
+    """Mean of a loss's second derivatives (n,), or `least_mean_curvature` where that is more."""
     return max(float(np.mean(curvatures)), rules.least_mean_curvature)
 
 
 def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
-    """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions."""
+    """Inverse of a loss's Hessian (p, p) in orthonormal parameters, eigenvalues bounded below."""
     # A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
     # were curved a little.
     shares, axes = np.linalg.eigh(bread)
@@ -117,7 +116,7 @@ def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
 
 
 def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) -> float:
-    """How many of a fit's residuals tell as much as an independent one, at least 1."""
+    """How many of a fit's residuals together tell as much as one independent one; at least 1."""
     Q = np.linalg.qr(jacobian)[0]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
     independent = _gradient_covariance(times_s, Q, left_px, rules)[1]
@@ -127,7 +126,7 @@ def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) 
 def _gradient_covariance(
     times_s: Array, Q: Array, left_px: Array, rules: FitRules, kinds: Indices | None = None
 ) -> tuple[Array, float]:
-    """Covariance of Q' g for gradients g (n,), and how many independent ones tell as much."""
+    """Covariance of Q' g for gradients g (n,), and the equivalent number of independent ones."""
     # Q (n, p) has orthonormal columns, and left = (1 - Q Q') g is what the fit leaves of g.
     p, each = Q.shape[1], 1 + len(rules.fading_s)
     kinds = np.zeros(len(times_s), np.intp) if kinds is None else kinds
@@ -148,13 +147,13 @@ def _gradient_covariance(
         values = np.zeros((n_bins, p + 2))
         np.add.at(values, bins, np.column_stack([Q[part], left_px[part], np.ones(len(bins))]))
         spectra = np.fft.rfft(values, size_fft, axis=0)
-        # Sums of products at each lag, both signs of it: of the residuals, and of their number.
+        # Sums of products at each lag, of both signs: of the residuals, and of their counts.
         sums = np.fft.irfft(np.abs(spectra[:, p:]) ** 2, axis=0)[:n_bins]
         sums[1:] *= 2.0
         forms[own] += fading @ sums[:, 0]
         pairs[own] += fading @ sums[:, 1]
         traces[own, own] += fading * sums[:, 1] @ fading.T
-        kernels = np.zeros((each, size_fft))  # even functions of the lag, which goes round
+        kernels = np.zeros((each, size_fft))  # even functions of the lag, which wraps around
         kernels[:, :n_bins] = fading
         kernels[:, size_fft - n_bins + 1 :] = fading[:, :0:-1]
         spread = np.fft.irfft(np.fft.rfft(kernels)[:, :, None] * spectra[:, :p], axis=1)
@@ -163,7 +162,7 @@ def _gradient_covariance(
         there = values[:, p + 1, None] * spread
         products[own, own] += np.einsum("kti,lti->kl", there, spread)
     expected = traces - 2.0 * products + np.einsum("kij,lij->kl", projected, projected)
-    diagonal = np.diag(expected)  # rows and columns are scaled alike, to one of ones
+    diagonal = np.diag(expected)  # rows and columns are scaled to make these 1
     scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
     amounts = _best_positive(expected / np.outer(scales, scales), forms / scales) / scales
     independent = 0.0
@@ -178,7 +177,7 @@ def _gradient_covariance(
 
 
 def _common_factor(times_s: Array, effects: Array, rules: FitRules) -> float:
-    """Variance of a sum of effects (n,), over what it were with independent series."""
+    """Variance of a sum of effects (n,), relative to that with independent series."""
     apart = sum(
         _sum_variance(times_s[part], effects[part], rules)[0] for part, _, _ in _series(times_s)
     )
@@ -189,7 +188,7 @@ def _common_factor(times_s: Array, effects: Array, rules: FitRules) -> float:
 
 
 def _sum_variance(times_s: Array, effects: Array, rules: FitRules) -> tuple[float, float]:
-    """Variance of the sum of a process (n,), and how many independent values have it."""
+    """Variance of the sum of a process (n,), and the equivalent number of independent values."""
     instants_s, places = np.unique(times_s, return_inverse=True)
     m = len(instants_s)
     sums = np.bincount(places, effects, m)
@@ -199,7 +198,7 @@ def _sum_variance(times_s: Array, effects: Array, rules: FitRules) -> tuple[floa
 
 
 def _series(times_s: Array) -> list[tuple[slice, IntArray, float]]:
-    """Split into ascending series: where each stands, its places on an even grid, the step [s]."""
+    """Split into ascending series: each one's slice, its bins on an even grid, and the step [s]."""
     bounds = [0, *(np.flatnonzero(np.diff(times_s) < 0.0) + 1), len(times_s)]
     found = []
     for start, end in pairwise(bounds):
@@ -213,7 +212,7 @@ def _series(times_s: Array) -> list[tuple[slice, IntArray, float]]:
 
 @numba.njit(cache=True)
 def _best_positive(scaled: Array, target: Array) -> Array:
-    """Give the x >= 0 (n,) with the least |scaled x - target| of all sets that may be zero."""
+    """Find the x >= 0 (n,) with the least |scaled x - target|, over all choices of non-zeros."""
     n = len(target)
     best, least = np.zeros(n), np.sum(target**2)
     for chosen in range(1, 1 << n):  # a bit for each unknown

@@ -1,10 +1,10 @@
-"""How a fit allows for a rig's uncertain intrinsics, and what speaks against them.
+"""A rig's uncertain intrinsics as parameters of a fit, and the evidence against them.
 
 Each of a camera's fu, fv, pu and pv whose deviation is not 0 is one more `Column` with a `Prior`.
 Two views of one path tell two combinations of the eight at most, as F has seven parameters and the
-pose takes five: the rest of what is said of them are the priors.
+pose takes five: only the priors determine the rest.
 
-Values are shares of the focal length along their axis: a value s makes fu to (1 + s) fu, or moves
+Values are shares of the focal length along their axis: a value s changes fu to (1 + s) fu, or moves
 pu by s fu.
 """
 
@@ -31,15 +31,15 @@ from ssac.geometry.epipolar import robust_deviation
 
 @dataclass(frozen=True)
 class Uncertain:
-    """One number of a camera that is not exactly known."""
+    """An intrinsic of a camera that is not exactly known."""
 
     camera: int  # 0 or 1
-    place: int  # of fu, fv, pu, pv
+    place: int  # among fu, fv, pu, pv
     deviation: float  # as a share of the focal length along its axis
 
 
 def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
-    """Numbers of both cameras that are not exact."""
+    """Intrinsics of both cameras that are not exact."""
     return tuple(
         Uncertain(n, place, std_px / float(camera.K[place % 2, place % 2]))
         for n, camera in enumerate((rig.cam1, rig.cam2))
@@ -49,22 +49,22 @@ def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
 
 
 class Allowance:
-    """What a refinement allows for, once a fit has told what the priors weigh.
+    """A refinement's uncertain intrinsics and scales of priors, added once a fit tells the scales.
 
-    Until then a clock's priors weigh as independent residuals, and intrinsics are exact.
+    Until then a clock's priors count as independent residuals, and intrinsics are exact.
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
         self._uncertain = uncertain_ones(rig)
-        self._scales_px: Array | None = None  # (m,) what deviations of a clock's priors count as
+        self._scales_px: Array | None = None  # (m,) `Prior.scale_px` of a clock's priors
         self._intrinsics_px = 0.0  # the same of the intrinsics
-        self.is_made = not (has_priors or self._uncertain)  # nothing is missing in problems now
+        self.is_made = not (has_priors or self._uncertain)  # nothing is left to learn
 
     def learn(self, problem: Problem, parameters: Parameters) -> None:
-        """Take from a fit, whose loss turns where the last one's will, what priors weigh.
+        """Take the priors' scales from a fit whose loss has the scale of the last fit's.
 
-        A skew's weighs against what the residuals tell of that very parameter, of others, of which
-        they tell next to nothing, by how many residuals tell as much as an independent one.
+        A skew's prior is weighted by what the residuals tell of the skew. They tell next to nothing
+        of other parameters, whose priors are weighted by `Residuals.repeats`.
         """
         if self.is_made:
             return
@@ -79,7 +79,7 @@ class Allowance:
             self._scales_px[0] = alone.fair_scales()[-1]
 
     def added(self, problem: Problem) -> Problem:
-        """Add what its priors weigh, and the uncertain intrinsics, to a problem, once known."""
+        """Add the priors' scales and the uncertain intrinsics to a problem, once they are known."""
         if self._scales_px is None:
             return problem
         of_clock = [
@@ -95,7 +95,7 @@ class Allowance:
 
 
 def columns_of(problem: Problem) -> tuple[Column, ...]:
-    """Give the moves of a problem's points by each of its rig's uncertain intrinsics."""
+    """Return the columns of a rig's uncertain intrinsics, for the points of a problem."""
     moves, found = _moves(problem), []
     for one in uncertain_ones(problem.rig):
         both = [np.zeros_like(problem.pairs.p1_px) for _ in moves]
@@ -105,15 +105,15 @@ def columns_of(problem: Problem) -> tuple[Column, ...]:
 
 
 def _moves(problem: Problem) -> tuple[Array, Array]:
-    """Give `moves_of` both cameras for the points of a problem."""
+    """Return `moves_of` for the points of a problem in both cameras."""
     rig, pairs = problem.rig, problem.pairs
     return moves_of(rig.cam1, pairs.p1_px), moves_of(rig.cam2, pairs.p2_px)
 
 
 def moves_of(camera: Camera, points_px: Array) -> Array:
-    """Give how ideal points (n, 2) move for a value of one of fu, fv, pu, pv: (4, n, 2) [px].
+    """Displacements (4, n, 2) [px] of ideal points (n, 2) by a unit value of fu, fv, pu and pv.
 
-    A measured pixel m = c + f d(r) stays where it is: so the ray r changes by
+    A measured pixel m = c + f d(r) stays where it is, so the ray r changes by
     -(f J)^-1 (dc + df d(r)), with the lens's derivative J = dd/dr.
     """
     centre, focal = camera.K[:2, 2], np.diag(camera.K)[:2]
@@ -135,7 +135,7 @@ def moves_of(camera: Camera, points_px: Array) -> Array:
 
 
 def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Array]:
-    """Give K (3, 3) of both cameras as they were found."""
+    """Return the estimated K (3, 3) of both cameras."""
     Ks, n = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()], problem.n_of_cameras
     values = parameters.columns[len(parameters.columns) - n :]
     for one, value in zip(uncertain_ones(problem.rig)[:n], values, strict=True):
@@ -145,12 +145,12 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
 
 
 def evidence(residuals: Residuals, hidden_px: Array) -> float:
-    """Give by how many deviations what is seen speaks against a rig's intrinsics.
+    """Return by how many deviations the views contradict a rig's intrinsics.
 
-    Of each combination that the views tell, it is the ratio of the value that fits best by itself
-    to its deviation: the rig's, the fit's and that of hidden errors, as of
-    `Residuals.hidden_covariance`. It is 0 without what `Allowance` adds, and with a known pose,
-    whose bias speaks as loud.
+    For each combination of them that the views determine, the value that fits best without a prior
+    is divided by its deviation: the rig's, the fit's and that of hidden errors (see
+    `Residuals.hidden_covariance`). The largest ratio counts. It is 0 without what `Allowance` adds,
+    and with a known pose, whose bias has effects as large.
     """
     problem, worst = residuals.problem, 0.0
     n = problem.n_of_cameras
@@ -162,19 +162,19 @@ def evidence(residuals: Residuals, hidden_px: Array) -> float:
     effects = residuals.jacobian[:, first:] * deviations
     left = effects - others @ np.linalg.lstsq(others, effects)[0]
     _, sizes, axes = np.linalg.svd(left, full_matrices=False)
-    for axis in axes[:told][sizes[:told] > 1e-6 * sizes[0]]:  # less is told by nothing
+    for axis in axes[:told][sizes[:told] > 1e-6 * sizes[0]]:  # smaller ones are undetermined
         value = float(axis @ (residuals.parameters.columns[-n:] / deviations))
         alone = _with_only(residuals, axis * deviations, value)
         shift = float(alone.parameters.columns[-1])
         if np.max(np.abs(shift * axis * deviations)) > problem.rules.most_shift:
-            continue  # so little is told of it that the fit runs away
+            continue  # the views tell so little of it that the fit diverges
         covariance = alone.covariance() + alone.hidden_covariance(hidden_px)
         worst = max(worst, abs(shift) / float(np.sqrt(1.0 + covariance[-1, -1])))
     return worst
 
 
 def _with_only(residuals: Residuals, amounts: Array, value: float = 0.0) -> Residuals:
-    """Fit one combination (n,) of the intrinsics, free of priors, in place of all of them."""
+    """Fit one combination (n,) of the intrinsics, without a prior, in place of all of them."""
     n, problem = len(amounts), residuals.problem
     own = list(zip(problem.columns[-n:], amounts, strict=True))
     dp1_px = np.sum([amount * column.dp1_px for column, amount in own], axis=0)
@@ -191,11 +191,11 @@ _CHANGES: tuple[tuple[str, tuple[int, ...], str, tuple[str, str]], ...] = (
     ("principal point", (2,), "px further to the ", ("right", "left")),
     ("principal point", (3,), "px ", ("lower", "higher")),
 )
-"""What may be wrong with a camera: a name, places of it, its unit, and words for its two signs."""
+"""Possible errors of a camera: name, places among fu, fv, pu, pv, unit, words for + and -."""
 
 
 def wanted(residuals: Residuals) -> str:
-    """Say which change of one camera, or of the other, explains most of what is misfit."""
+    """Say which change of one camera's intrinsics, or the other's, explains most of the misfit."""
     problem, parameters = residuals.problem, residuals.parameters
     ones = uncertain_ones(problem.rig)[: problem.n_of_cameras]
     plain = replace(problem, columns=problem.columns[: -len(ones)], priors=())
@@ -212,7 +212,7 @@ def wanted(residuals: Residuals) -> str:
             continue
         loss = float(np.sum(np.log1p((changed.distances_px / scale_px) ** 2)))
         K, axis = (problem.rig.cam1, problem.rig.cam2)[camera].K, places[0] % 2
-        # To first order in the columns: what is seen at 1 / (1 + s) of its ray fits at -s.
+        # Columns are linear: s scales points by 1 - s, as a focal length s / (1 - s) longer does.
         size = 100.0 * share / (1.0 - share) if places[0] < 2 else share * K[axis, axis]
         by = f"{abs(size):.2g} {unit}{words[int(size < 0.0)]}"
         found.append((loss, name, f"camera {camera + 1}'s {name} wants to be {by}"))
@@ -221,7 +221,7 @@ def wanted(residuals: Residuals) -> str:
 
 
 def turned_by_focals(residuals: Residuals) -> Array:
-    """Angles (2,) [rad] by which R and t turn for focal lengths of both that are longer by 1."""
+    """Angles (2,) [rad] by which R and t turn per relative lengthening of all focal lengths."""
     problem, parameters = residuals.problem, residuals.parameters
     if problem.pose_is_known:
         return np.full(2, np.nan)

@@ -1,4 +1,4 @@
-"""What every refinement minimises, and the one solver of it.
+"""The robust least-squares problem that every refinement minimises, and its solver.
 
 The parameters are, in the order of Jacobians and covariances: t_d [s]; the five small changes [rad]
 of the pose that `ssac.geometry.pose` defines; then one for each `Column` of the problem, such as a
@@ -6,7 +6,7 @@ clock's rate or a focal length.
 
 The residuals are signed Sampson distances [px] of pairs, times the pairs' weights, under Cauchy's
 loss, and one more for each prior. Pairs are sampled at one offset and moved on by the velocity of
-p2 where the parameters change it: whoever calls samples anew until nothing changes.
+p2 as the parameters change the offset: the caller samples anew until nothing changes.
 """
 
 from dataclasses import dataclass, field, replace
@@ -43,9 +43,9 @@ class WeighedPairs:
     p1_px: Array  # (n, 2)
     p2_px: Array  # (n, 2)
     v2_px_s: Array  # (n, 2) velocity of p2
-    weights: Array  # (n,) of the distances, with a median of 1
-    t_d_s: float  # at which p2 was sampled
-    kinds: Indices | None = None  # (n,) from 0 on, of errors that are unlike; None: all are alike
+    weights: Array  # (n,) factors of the distances, with a median of 1
+    t_d_s: float  # offset at which p2 was sampled
+    kinds: Indices | None = None  # (n,) from 0 on, kinds of errors; None: all are of one kind
 
 
 @dataclass(frozen=True)
@@ -59,30 +59,30 @@ class Column:
     dp2_px: Array  # (n, 2)
     at: float = 0.0  # value with which the points were sampled
     is_of_clock: bool = False  # a change of what camera 2's clock shows, as the offset is
-    is_of_camera: bool = False  # an uncertain number of a camera
+    is_of_camera: bool = False  # an uncertain intrinsic of a camera
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a parameter beforehand, its errors being normal."""
+    """A Gaussian prior of one parameter."""
 
     place: int  # from FIRST_COLUMN on
     value: float
     deviation: float  # in the parameter's unit
-    scale_px: float = np.nan  # what one deviation counts as; NaN: as an independent residual
+    scale_px: float = np.nan  # residual that a deviation counts as; NaN: an independent one
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be minimised, over what."""
+    """A least-squares problem: its pairs, parameters, priors and loss."""
 
     pairs: WeighedPairs
     rig: Rig
     rules: FitRules
-    pose_is_known: bool = False  # it stays as it is
+    pose_is_known: bool = False  # it is held fixed
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
-    turn: float = epipolar.CAUCHY  # where the loss turns, in robust standard deviations
+    turn: float = epipolar.CAUCHY  # scale of the loss, in robust standard deviations
 
     @property
     def size(self) -> int:
@@ -97,31 +97,31 @@ class Problem:
 
     @property
     def of_clock(self) -> list[int]:
-        """Places of the parameters that say what camera 2's clock shows."""
+        """Places of the parameters of camera 2's clock."""
         more = [k for k, column in enumerate(self.columns, FIRST_COLUMN) if column.is_of_clock]
         return [T_D, *more]
 
     @property
     def n_of_cameras(self) -> int:
-        """How many of the columns, the last ones, are of intrinsics."""
+        """Number of columns of intrinsics, which are the last ones."""
         return sum(column.is_of_camera for column in self.columns)
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What is left of a problem's n pairs at p parameters, f of them free, with q priors."""
+    """Residuals of a problem's n pairs at p parameters, f of them free, with q priors."""
 
     problem: Problem
     parameters: Parameters
-    F: Array  # (3, 3) of the points, with all that moves them
-    p1_px: Array  # (n, 2)
-    p2_px: Array  # (n, 2)
+    F: Array  # (3, 3) of the parameters' pose
+    p1_px: Array  # (n, 2) as the parameters move them
+    p2_px: Array  # (n, 2) likewise
     distances_px: Array  # (n,) signed, times the pair's weight, whose median is 1
     jacobian: Array  # (n, p) [px per unit of the parameter]
 
     @property
     def weights(self) -> tuple[Array, Array]:
-        """First derivative over residual, and second derivative, of the loss: both (n,)."""
+        """The loss's first derivative divided by the residual, and second derivative: (n,) each."""
         return epipolar.cauchy_weights(self.distances_px, self.problem.turn)
 
     @property
@@ -130,7 +130,7 @@ class Residuals:
         return self.jacobian[:, self.problem.free]
 
     def system(self) -> tuple[Array, Array]:
-        """Give the rows (n + q, f), residuals' before priors', of the next step, and its target."""
+        """Return the next step's rows (n + q, f), pairs before priors, and its target (n + q,)."""
         root_weights, columns = np.sqrt(self.weights[0]), self.parameters.columns
         system = root_weights[:, None] * self.free
         target = -root_weights * self.distances_px
@@ -140,7 +140,7 @@ class Residuals:
         return np.vstack([system, rows]), np.append(target, counts * off)
 
     def covariance(self, lessens: bool = True, cautious: bool = False) -> Array:
-        """Covariance (f, f) of the free parameters, as `correlated_covariance` has it."""
+        """Covariance (f, f) of the free parameters, by `correlated_covariance`."""
         problem, (weights, curvatures) = self.problem, self.weights
         deviations = np.full(problem.size, covariance.PRIOR)
         scales_px = np.full(problem.size, np.nan)
@@ -161,7 +161,7 @@ class Residuals:
         )
 
     def hidden_covariance(self, errors_px: Array) -> Array:
-        """Covariance (f, f) of the free parameters, of errors that no residual shows.
+        """Covariance (f, f) of the free parameters due to errors that no residual shows.
 
         One deviation of each error changes the distances by its column of `errors_px` (n, m).
         """
@@ -171,10 +171,10 @@ class Residuals:
         return np.asarray(moved @ moved.T)
 
     def fair_scales(self) -> Array:
-        """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
+        """Return the residual (f,) [px] as which a prior deviation of each free parameter counts.
 
-        With these scales a prior and the data, whose errors are correlated, share in a parameter by
-        their variances. The problem's own priors do not count.
+        With these scales a prior and the data, whose errors are correlated, are weighted by their
+        variances. The problem's own priors are left out.
         """
         plain = replace(self, problem=replace(self.problem, priors=()))
         variances, rules = np.diag(plain.covariance()), self.problem.rules
@@ -183,17 +183,17 @@ class Residuals:
         curvature = covariance.mean_curvature(curvatures, rules)
         inverse = covariance.bounded_inverse(Q.T @ (curvatures[:, None] * Q), curvature, rules)
         back = np.linalg.pinv(triangle)
-        independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, of errors of 1 px
+        independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, if errors are 1 px
         return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
 
     def repeats(self) -> float:
-        """How many of the residuals tell as much as an independent one, at least 1."""
+        """How many residuals together tell as much as one independent one; at least 1."""
         slopes_px = self.weights[0] * self.distances_px
         times_s, rules = self.problem.pairs.times_s, self.problem.rules
         return covariance.repeats(times_s, self.free, slopes_px, rules)
 
     def _priors(self) -> tuple[Array, Array]:
-        """Give the priors' rows (q, f) of the system, and what a unit of each counts (q,)."""
+        """Return the priors' rows (q, f) of the system, and the residual per unit of each (q,)."""
         problem, priors = self.problem, self.problem.priors
         places = np.array([prior.place for prior in priors], np.intp)
         deviations = np.array([prior.deviation for prior in priors])
@@ -237,9 +237,9 @@ class Solution:
     """Where the iteration ended."""
 
     parameters: Parameters
-    converged: bool  # it ended by itself, or all steps were asked for
-    change: Array  # (p,) of the parameters, from the start on
-    last_step: Array  # (p,) of the change
+    converged: bool  # the last step was small, or all steps were asked for
+    change: Array  # (p,) sum of all steps
+    last_step: Array  # (p,)
 
 
 def solve(
@@ -277,7 +277,7 @@ def _least_squares(system: Array, target: Array) -> Array:
 
 @numba.njit(cache=True)
 def _triangle(columns: Array) -> Array:
-    """R (k, k) of the QR decomposition of k columns of n rows, k < n; they, (k, n), are lost."""
+    """R (k, k) of the QR decomposition of `columns` (k, n), k < n, which are overwritten."""
     k = len(columns)
     triangle = np.zeros((k, k))
     for i in range(k):

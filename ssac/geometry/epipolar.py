@@ -1,4 +1,4 @@
-"""Epipolar lines and distances of point pairs, and what is robust of many distances.
+"""Epipolar lines and distances of point pairs, and robust statistics of residuals.
 
 Conventions after Hartley and Zisserman, for points p = (x, y) [px] taken as (x, y, 1):
 p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
@@ -15,7 +15,7 @@ from ssac.arrays import Array
 Entries = Array | Sequence[float]
 T = TypeVar("T", float, Array)
 
-CAUCHY = 2.385  # robust deviations where Cauchy's loss turns: 95 % efficiency on Gaussian noise
+CAUCHY = 2.385  # scale of Cauchy's loss, in robust deviations: 95 % efficiency on Gaussian noise
 TO_DEVIATION = 1.4826  # from the median absolute value of Gaussian noise to its deviation
 
 
@@ -25,11 +25,11 @@ def robust_deviation(residuals: Array) -> float:
 
 
 def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:
-    """First derivative over residual, and second derivative, of Cauchy's loss: both (n,).
+    """First derivative of Cauchy's loss divided by the residual, and second derivative: (n,) each.
 
-    The loss turns `turn` robust standard deviations from zero.
+    The second derivative changes sign `turn` robust standard deviations from zero.
     """
-    deviation = robust_deviation(residuals) + 1e-12  # of residuals that are all zero
+    deviation = robust_deviation(residuals) + 1e-12  # not 0 where all residuals are
     squares = (residuals / (turn * deviation)) ** 2
     return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2
 
@@ -61,7 +61,7 @@ def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
 def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
     """Distances d(p1, l1) (...,) [px] in image 1 of pairs (..., 2), the summands of Eq. 4.
 
-    NaN where p2 is the epipole; infinite where its line is that at infinity.
+    NaN where p2 is the epipole; infinite where its line is the line at infinity.
     """
     lines = epipolar_lines_1(F, p2_px)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -73,7 +73,7 @@ def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
 def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:
     """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
 
-    For arrays and, compiled, for kernels; f has the nine entries of F, row by row.
+    It takes arrays or, compiled in kernels, numbers; f has the nine entries of F, row by row.
     """
     a2 = f[0] * u1 + f[1] * v1 + f[2]
     b2 = f[3] * u1 + f[4] * v1 + f[5]
@@ -93,7 +93,7 @@ def sampson_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
 
 
 def sampson_derivative(F: Array, p1_px: Array, p2_px: Array, dp2_px: Array) -> Array:
-    """Differentiate `sampson_distance` (N,), with p2 moving at the rate dp2."""
+    """Differentiate `sampson_distance` (N,), with p2 moving at the rate dp2 (N, 2)."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
     return np.asarray(_derivatives(F.ravel(), *points))
 

@@ -1,8 +1,8 @@
-"""The fundamental matrix of point pairs with outliers: LMedS as in the paper, two alternatives.
+"""The fundamental matrix of point pairs with outliers: the paper's LMedS and two alternatives.
 
-Deviation: the paper names LMedS only, and its sample uses OpenCV's. That one stops at about 450
+Deviation: the paper names LMedS only, and its sample uses OpenCV's. OpenCV's stops at about 450
 trials (at confidence 0.999), whatever number it is asked for, and returns the seven-point solution
-of its best trial, which makes d_avg a jagged curve. Here every trial asked for is made, with eight
+of its best trial, which makes d_avg a jagged curve. Here all trials are made, each with eight
 pairs, whose solution is linear, and the best one starts the reweighted least squares with which
 Rousseeuw's LMedS ends.
 """
@@ -17,14 +17,14 @@ import numpy as np
 from ssac.arrays import Array, IntArray
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION, epipolar_terms, fundamental_from_essential
 
-_BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
+_BLOCK = 64  # pairs counted between two tests of the count: enough for vector instructions
 
 
 @numba.njit(cache=True)
 def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
     """F (rank 3) of the subset of eight pairs with the least median squared Sampson distance.
 
-    Each row of numbers in [0, 1), `uniform` (trials, 8), draws one without repetition, after Floyd.
+    Each row of `uniform` (trials, 8), in [0, 1), draws a subset without repetition, after Floyd.
     """
     n = x1.shape[1]
     middle = n // 2
@@ -36,7 +36,7 @@ def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
         _draw(numbers, n, subset)
         for row in range(8):
             _monomials(x1, x2, subset[row], system[row])
-        # A count tells whether the median would be a new best; few need the median itself.
+        # A count tells whether the median would be a new best; few trials need the median itself.
         if (
             _solve_null_vector(system, F)
             and count_near(best_median, F.ravel(), n, blocks, middle) > middle
@@ -49,7 +49,7 @@ def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
 
 @numba.njit(cache=True)
 def _draw(uniform: Array, n: int, subset: IntArray) -> None:
-    """Fill in eight of n places, from as many random numbers."""
+    """Fill `subset` with eight different indices below n, from eight random numbers."""
     for row in range(8):
         last = n - 8 + row
         drawn = int(uniform[row] * (last + 1))
@@ -62,7 +62,7 @@ def _draw(uniform: Array, n: int, subset: IntArray) -> None:
 
 @numba.njit(cache=True)
 def in_blocks(x1: Array, x2: Array) -> Array:
-    """Lay the pairs' coordinates (4, ...) side by side for each _BLOCK of them."""
+    """Copy the pairs' coordinates into blocks (b, 4, _BLOCK), the last one padded with zeros."""
     n = x1.shape[1]
     blocks = np.zeros((-(-n // _BLOCK), 4, _BLOCK))
     for i in range(n):
@@ -76,7 +76,7 @@ def in_blocks(x1: Array, x2: Array) -> Array:
 def count_near(limit: float, F: Array, n: int, blocks: Array, most: int) -> int:
     """Count the n pairs of `in_blocks` with a squared Sampson distance below the limit.
 
-    Stops, at up to `most`, where the pairs left cannot bring the count above it.
+    It stops early, at a count of at most `most`, once the pairs left cannot raise it above that.
     """
     f = _entries(F)
     count, left = 0, n
@@ -93,7 +93,7 @@ def count_near(limit: float, F: Array, n: int, blocks: Array, most: int) -> int:
 def _count_in_block(
     limit: float, f: tuple[float, ...], u1: Array, v1: Array, u2: Array, v2: Array, n: int
 ) -> int:
-    """Of the first n pairs, those with a squared distance below the limit."""
+    """Count those of the first n pairs with a squared distance below the limit."""
     count = 0
     for i in range(n):
         product, norm = _product_and_norm(f, u1[i], v1[i], u2[i], v2[i])
@@ -143,9 +143,9 @@ def _product_and_norm(
 
 @numba.njit(cache=True, fastmath=True)
 def _solve_null_vector(A: Array, F: Array) -> bool:
-    """Solve A f = 0 for f = F row by row; False when the rank of A (8, 9), used up, is below 8."""
-    # By Gaussian elimination with the row's largest entry as pivot: columns are exchanged, so that
-    # the last one left, whose unknown is set to 1, is never one that the others determine to be 0.
+    """Solve A f = 0 for f = F row by row; False when A (8, 9), overwritten, has a rank below 8."""
+    # By Gaussian elimination with the row's largest entry as pivot: columns are exchanged so that
+    # the last one, whose unknown is set to 1, is never one that the equations determine to be 0.
     rank_tolerance = 1e-12  # on coordinates of order 1
     order = np.arange(9)
     for k in range(8):
@@ -177,15 +177,15 @@ def _solve_null_vector(A: Array, F: Array) -> bool:
 
 
 _POLISH_ITERATIONS = 8
-_NOT_YET = np.zeros((3, 3))  # an F
+_NOT_YET = np.zeros((3, 3))  # no F to start from
 _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
 
 def lmeds_fundamental(p1_px: Array, p2_px: Array, trials: int, seed: int = 0) -> Array:
     """F by least median of squares over Sampson distances, then reweighted least squares.
 
-    Of pairs (N, 2) [px], N >= 8, and as many random subsets of eight as there are trials; F has
-    rank 2, and is NaN when the pairs allow none, as those of an object at rest.
+    Each trial draws a random subset of eight of the pairs (N, 2) [px], N >= 8. F has rank 2, and
+    is NaN when the pairs do not determine it, as for an object at rest.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     F = best_subset(x1, x2, _uniform(trials, seed))
@@ -195,14 +195,14 @@ def lmeds_fundamental(p1_px: Array, p2_px: Array, trials: int, seed: int = 0) ->
 
 
 def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
-    """F as `lmeds_fundamental` ends, from the eight-point algorithm: cheaper, for few outliers."""
+    """F by reweighted least squares from an eight-point start: cheaper, for few outliers."""
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     return np.asarray(T2.T @ _reweighted(x1, x2, _NOT_YET) @ T1)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
-    """Median Sampson distance [px] of pairs (n, 2) from F after some iterations, in loops."""
+    """Median Sampson distance [px] of pairs (n, 2) from F after some reweighted iterations."""
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, np.zeros((3, 3)), iterations)
     squares, _ = sampson(F, x1, x2)
@@ -211,10 +211,10 @@ def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
 
 
 def second_best(p1_px: Array, p2_px: Array) -> float:
-    """How many times worse than the best F another one, as unlike it as can be, fits the pairs.
+    """How many times worse than the best F the best matrix orthogonal to it fits the pairs.
 
-    The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
-    leave F open, as those of a planar path do; 1 when they allow none, as at rest.
+    It is the ratio of the two least singular values of the weighted eight-point system. Near 1 the
+    pairs do not determine F, as on a planar path; it is 1 when they allow no F, as at rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _NOT_YET)
@@ -224,12 +224,12 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
     scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
     weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
     values = np.linalg.eigvalsh(_moments(x1, x2, weights))
-    rounding = 9.0 * np.finfo(np.float64).eps * values[-1]  # all that pairs without noise leave
+    rounding = 9.0 * np.finfo(np.float64).eps * values[-1]  # all that noise-free pairs leave
     return float(np.sqrt(max(values[1], rounding) / max(values[0], rounding)))
 
 
 def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Array:
-    """F of the essential matrix that MAGSAC++ finds, with the help of the intrinsics, or NaN."""
+    """F of the essential matrix that MAGSAC++ finds, given the intrinsics; NaN if it finds none."""
     x1, x2 = (
         np.asarray(cv2.undistortPoints(p_px[:, None], K, None)[:, 0], np.float64)
         for p_px, K in ((p1_px, K1), (p2_px, K2))
@@ -239,7 +239,7 @@ def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Arra
 
 
 def magsac_essential(x1: Array, x2: Array, K1: Array, K2: Array) -> Array | None:
-    """E that OpenCV's MAGSAC++ finds of rays (N, 2), with a threshold of a pixel; None if none."""
+    """E by OpenCV's MAGSAC++ from rays (N, 2), with a threshold of a pixel; None if not found."""
     threshold = 1.0 / float(np.sqrt(K1[0, 0] * K2[0, 0]))
     E, _ = cv2.findEssentialMat(x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, threshold)
     return E.astype(np.float64) if E is not None and E.shape == (3, 3) else None
@@ -274,7 +274,7 @@ def _normalised(p1_px: Array, p2_px: Array) -> tuple[Array, Array, Array, Array]
 
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Array, x2: Array, F: Array, iterations: int = _POLISH_ITERATIONS) -> Array:
-    """Iterate the weighted eight-point fit, from F if not zero; NaN of an object at rest."""
+    """Iterate the weighted eight-point fit, from F or, if it is 0, without weights; NaN at rest."""
     if not (x1.any() or x2.any()):
         return np.full((3, 3), np.nan)
     if not F.any():
@@ -301,7 +301,7 @@ def _eight_point(x1: Array, x2: Array, weights: Array) -> Array:
 
 @numba.njit(cache=True, fastmath=True)
 def _moments(x1: Array, x2: Array, weights: Array) -> Array:
-    """Weighted sums (9, 9) of the products of two monomials, the lower triangle that eigh reads."""
+    """Weighted sums (9, 9) of the products of two monomials: the lower triangle, for eigh."""
     # Such a product is one of two coordinates of x2 times one of two coordinates of x1, the third
     # coordinate being 1: six times six sums, each over whole arrays.
     n = len(weights)

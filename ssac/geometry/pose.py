@@ -24,8 +24,8 @@ def pose_from_fundamental(
 ) -> tuple[Pose, float]:
     """Decompose F into the pose, of four, that puts most pairs in front of both cameras.
 
-    It is that of the closest true essential matrix: E's two singular values are made equal. The
-    share of pairs in front, the second result, is far from 1 where they disagree about the pose.
+    It is the pose of the nearest essential matrix, whose two non-zero singular values are equal.
+    The second result, the share of pairs in front, is far from 1 where pairs contradict the pose.
     """
     U, _, Vt = np.linalg.svd(K2.T @ F @ K1)  # of E
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -44,8 +44,8 @@ def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px
     """Move a pose to where its epipolar geometry is nearest to F's, in pixels at the pairs.
 
     F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
-    from even over its entries, which `pose_from_fundamental` weighs all alike; here the mean
-    squared difference of Sampson distances under the pose and under F is made least.
+    from even over its entries, which `pose_from_fundamental` weights equally; here the mean
+    squared difference of Sampson distances under the pose and under F is minimised.
     """
 
     def distances_at(R: Array, t: Array) -> Array:
@@ -68,9 +68,9 @@ def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px
 def pose_jacobian(
     R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
 ) -> Array:
-    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad].
+    """Jacobian (N, 5) [px/rad] of the Sampson distances by a small change of the pose.
 
-    F is that of the pose, where it is known already.
+    F is the fundamental matrix of the pose, where it is known already.
     """
     F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
@@ -97,9 +97,9 @@ def pose_step(R: Array, t: Array, R_to: Array, t_to: Array) -> Array:
 
 
 def centre_covariance(R: Array, t: Array, covariance: Array) -> Array:
-    """Give the covariance (3, 3) of the centre -R' t by that of a small change of the pose.
+    """Return the covariance (3, 3) of the centre -R' t, from that of a small change of the pose.
 
-    The change is (5, 5), or of all three coordinates of t: (6, 6).
+    The latter is (5, 5), or (6, 6) with a change of all three coordinates of t.
     """
     along = tangent_basis(t).T if len(covariance) == 5 else np.eye(3)
     by_pose = -R.T @ np.hstack([epipolar.cross_matrix(t), along])
@@ -107,10 +107,10 @@ def centre_covariance(R: Array, t: Array, covariance: Array) -> Array:
 
 
 def vector_by_turn(R: Array) -> Array:
-    """Give how R's rotation vector changes (3, 3) by a small turn w of exp([w]x) R."""
+    """Jacobian (3, 3) of the rotation vector of exp([w]x) R by w, at w = 0."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle, across = float(np.linalg.norm(vector)), epipolar.cross_matrix(vector)
-    small = angle < 1e-4  # where the ratio rounds, and is 1/12
+    small = angle < 1e-4  # where rounding spoils the ratio, whose limit is 1/12
     ratio = 1.0 / 12.0 if small else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
     return np.asarray(np.eye(3) - 0.5 * across + ratio * across @ across)
 
@@ -130,9 +130,9 @@ def tangent_basis(t: Array) -> Array:
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
-    """Depths (N,) of the points where rays (N, 3), z = 1 in each camera's frame, pass closest.
+    """Depths (N,) in both cameras of the points where rays (N, 3), z = 1 in each, pass closest.
 
-    They are in units of t, negative behind the camera, infinite or NaN for parallel rays.
+    They are in units of t's length, negative behind the camera, infinite or NaN for parallel rays.
     """
     turned = rays1 @ R.T
     normals = np.cross(turned, rays2)
@@ -155,7 +155,7 @@ def rays_of(K: Array, p_px: Array) -> Array:
 
 
 def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> list[Pose]:
-    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first."""
+    """Candidate poses of the pairs, from F, E and a homography; the best fit comes first."""
     if len(p1_px) < rules.min_pairs:
         return []
     K1, K2 = rig.cam1.K, rig.cam2.K
@@ -164,7 +164,7 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
         return []
     poses = [pose_from_fundamental(F, K1, K2, p1_px, p2_px)[0]]
     x1, x2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
-    cv2.setRNGSeed(1)  # or two calls give two results
+    cv2.setRNGSeed(1)  # so that equal calls give equal results
     E = magsac_essential(x1[:, :2], x2[:, :2], K1, K2)
     if E is not None:
         _, R, t, _ = cv2.recoverPose(E, x1[:, :2], x2[:, :2], np.eye(3))
@@ -182,8 +182,8 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
 def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     """Median distance of rays (n, 3) from the homography between them, and its poses.
 
-    The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, as OpenCV's
-    takes both cameras to be on the same side of the plane.
+    The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, since OpenCV's
+    assumes both cameras to be on the same side of the plane.
     """
     found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
     if found is None:
@@ -197,10 +197,10 @@ def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     squares = (sizes / sizes[1]) ** 2
     poses: list[Pose] = []
     along, across = np.sqrt(1.0 - squares[2]) * axes[0], np.sqrt(squares[0] - 1.0) * axes[2]
-    for u in (along + across, along - across):  # in the plane, as the second axis is
+    for u in (along + across, along - across):  # u and the second axis span the plane
         length = np.linalg.norm(u)
         if not length > 1e-9:
-            continue  # a turn without a baseline
+            continue  # a rotation without a baseline
         first, second = axes[1], u / length
         before = np.column_stack([first, second, np.cross(first, second)])
         turned = H @ first, H @ second

@@ -1,1 +1,1 @@
-"""Clocks, poses and the object's path of many cameras, from what their pairs say."""
+"""Clocks and poses of many cameras and the object's path, from the estimates of their pairs."""

@@ -1,7 +1,7 @@
 """Adjust cameras and path of a network together, by robust least squares.
 
-The path is a cubic spline whose jerk is white noise of a strength that the data tell, so that its
-knots may be as dense as the sightings. Each camera's deviation is that of its own residuals.
+The path is a cubic spline whose jerk is white noise of a strength estimated from the data, so its
+knots may be as dense as the sightings. Deviations of cameras are estimated from residuals.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from ssac.rules import NetworkRules
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Cameras, in one order, and the path: in the frame of the first."""
+    """Cameras, in one order, and the path, in the frame of the first camera."""
 
     cameras: list[Sightings]
     priors: list[Priors]
@@ -31,16 +31,16 @@ class Network:
     jerk: float  # root of its spectral density: unit / s^2.5
     distance: float
     rules: NetworkRules
-    repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
-    lasting: float = 1.0  # the same, with what the path takes up of such errors
-    constraints: Mapping[Pair, Link] = field(default_factory=dict)  # by pairs of states
+    repeats: float = 1.0  # sightings worth one independent one, as errors are correlated
+    lasting: float = 1.0  # the same, with the part of such errors that the path absorbs
+    constraints: Mapping[Pair, Link] = field(default_factory=dict)  # by places of states
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How the network fits what one camera saw."""
+    """How the network fits the sightings of one camera."""
 
-    linear: Linear  # not over its deviations yet: its residuals are seen less projected [px]
+    linear: Linear  # not yet divided by deviations: its residuals are seen less projected [px]
     in_front: Mask  # (n,) of the camera
     used: Mask  # (n,) within the path, in front, and not switched off
 
@@ -57,7 +57,7 @@ def border_offsets(network: Network) -> IntArray:
 
 
 def fit_of(network: Network, k: int) -> Fit:
-    """Compare what camera k saw with what the network has it see."""
+    """Compare camera k's sightings with the projections of the path."""
     state, seen, knots_s = network.states[k], network.cameras[k], network.path.knots_s
     times_s = network_times(state, seen)
     inside = (times_s >= knots_s[0]) & (times_s <= knots_s[-1]) & network.enabled[k]
@@ -73,7 +73,7 @@ def fit_of(network: Network, k: int) -> Fit:
 
 
 def known(network: Network) -> tuple[Array, Array]:
-    """Give rows (k, b) and residuals (k,) of the priors of the cameras and their pairs."""
+    """Return rows (k, b) and residuals (k,) of cameras' priors and of pairs' constraints."""
     rows, residuals = list[Array](), list[float]()
     cameras, rules, offsets = network.cameras, network.rules, border_offsets(network)
 
@@ -83,10 +83,10 @@ def known(network: Network) -> tuple[Array, Array]:
         rows.append(row)
         residuals.append(residual)
 
-    # The distance that sets the scale is none of the data's, and strays have no offset or slope:
-    # they are held so firmly that only rounding limits it.
+    # The distance sets the scale, which the data leave open, and strays have no offset or slope by
+    # definition: these constraints are as firm as rounding allows.
     scale_std, held_stray_s = 1e-6, 1e-6
-    # The sightings count in full, so that errors which last are made up for on the other side.
+    # The sightings count in full, though errors are correlated: priors are sharpened instead.
     sharper = 1.0 / np.sqrt(network.repeats)
     for k, (state, prior) in enumerate(zip(network.states, network.priors, strict=True)):
         at = int(offsets[k])
@@ -144,7 +144,7 @@ def known(network: Network) -> tuple[Array, Array]:
 
 
 def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple[Network, Solved]:
-    """Adjust cameras and path, deviations anew in each round; give the last solution too."""
+    """Adjust cameras and path, with new deviations in each round; return the solution too."""
     free, last = _free(network, with_intrinsics), np.inf
     for _ in range(rounds):
         network, cost, solved = _minimised(network, free)
@@ -172,7 +172,7 @@ def _free(network: Network, with_intrinsics: bool) -> IntArray:
 
 
 def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved]:
-    """Take steps as long as they lower the cost, at given deviations and smoothness."""
+    """Take damped steps while they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
     damping, least_damping = 0.0, 1e-4
     for _ in range(network.rules.steps):
@@ -220,7 +220,7 @@ def _normal(network: Network) -> tuple[Normal, float]:
 
 
 def _weighed(network: Network, solved: Solved) -> Network:
-    """Estimate deviations and smoothness from what is left, the path's leverage made up for."""
+    """Estimate deviations and smoothness from residuals, corrected for the path's leverage."""
     sigmas, repeats, rules = network.sigmas_px.copy(), list[float](), network.rules
     for k, seen in enumerate(network.cameras):
         fit = fit_of(network, k)
@@ -256,8 +256,8 @@ def _weighed(network: Network, solved: Solved) -> Network:
 
 
 def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
-    """Give event cameras the deviations that they have of themselves, times one common factor."""
-    # Each for itself, the two whose errors the path takes up best would seem to be without any.
+    """Give event cameras the deviations of their own tracks, times one common factor."""
+    # With one each, the two cameras whose errors the path absorbs best would seem to have none.
     of_events = np.flatnonzero([not seen.has_frames for seen in cameras])
     if not len(of_events):
         return sigmas_px
@@ -269,9 +269,9 @@ def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
 
 
 def _taken_up(network: Network) -> float:
-    """Give how much larger slow errors are, as variances, than the residuals show them."""
-    # The path follows them in three of their directions: two for each camera that sees the object.
-    # Those of silhouettes are along what is level, one for each camera: it follows two.
+    """Return the variance of slow errors relative to that which the residuals show."""
+    # Each camera that sees the object adds two directions of errors: the path absorbs three in all.
+    # Errors of silhouettes are horizontal, one direction for each camera: the path absorbs two.
     cameras, steps_s = network.cameras, np.diff(network.path.knots_s)
     covered_s = float(np.sum(steps_s[steps_s <= network.rules.max_knot_gap_s]))
     seen_s = sum(
@@ -287,7 +287,7 @@ def _taken_up(network: Network) -> float:
 
 
 def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
-    """Count the sightings (n, 2) that tell as much as one: 1 + 2 sum of their correlations."""
+    """Count the sightings (n, 2) worth one independent one: 1 + 2 sum of autocorrelations."""
     limit = 3.0 * robust_deviation(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
     variance = float(np.mean(clipped**2))
@@ -306,7 +306,7 @@ def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
 
 
 def repeats_in_blocks(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
-    """Count as `repeats_of` does, by sums of blocks: what lasts in silhouettes is small."""
+    """Return `repeats_of` by sums of blocks, as silhouettes' lasting errors are small."""
     deviation = robust_deviation(residuals) + 1e-12
     clipped = np.clip(residuals / deviation, -3.0, 3.0)
     blocks = np.floor((times_s - times_s[0]) / rules.block_s).astype(np.int64)

@@ -1,11 +1,11 @@
-"""One path laid over another: on which clock, and by which similarity.
+"""The alignment of one path with another: the shift and rate of its clock, and a similarity.
 
-Both paths may have clocks and frames of their own. How much of the truth's motion a similarity
-leaves unexplained follows for all shifts of even steps at once from correlations. A hover fits
+Both paths may have clocks and frames of their own. Correlations give, for all shifts on an even
+grid at once, how much of the truth's motion the best similarity leaves unexplained. A hover fits
 anything: at a wrong shift a scale near 0, or most of the samples at rest, make small distances. So
-a shift is judged by the share of the variance that is left, which rest has no part in, and by how
-many samples agree, as of a likelihood. Of the few best, shift, rate and similarity are refined
-together by robust least squares, and the one that explains most of the motion is the answer.
+the score of a shift is a likelihood: of the unexplained share of the variance, to which rest adds
+nothing, and of the number of common samples. For the few best shifts, shift, rate and similarity
+are refined together by robust least squares; the one that explains most of the motion is returned.
 
 Deviation: the paper does not align times; it registers both paths as sets of points (ICP).
 """
@@ -31,22 +31,22 @@ RATE_STD_PPM = 50.0
 class PathRules:
     """How paths are interpolated, and which shifts between two are tried."""
 
-    # Points further apart than these seconds and than so many usual steps have nothing between.
+    # Between points further apart than both `gap_s` and `gap_steps` median steps there is a gap.
     gap_s: float = 0.5
     gap_steps: float = 4.0
-    points_per_knot: tuple[int, ...] = (2, 4, 8, 16)  # that are tried for a smooth curve
-    ordinary_percent: float = 95.0  # of squares that tell the noise: gross errors stay out
+    points_per_knot: tuple[int, ...] = (2, 4, 8, 16)  # tried for a smooth curve
+    ordinary_percent: float = 95.0  # of squared residuals, the least, that tell the noise
     least_points: int = 16  # of a smooth curve; fewer are interpolated
     least_samples: int = 20  # in common
     least_common_share: float = 0.2  # of the shorter path
     most_shifts: int = 8  # that are refined
     rival: float = 0.5  # share of the best score, below which a shift is no rival
-    steps_per_spread: float = 50.0  # of the grid, while the object crosses its path's spread
+    steps_per_spread: float = 50.0  # of the grid, in which the object crosses its path's spread
     steps_s: tuple[float, float] = (0.01, 0.5)  # least and largest
-    moving_percent: float = 90.0  # of the speeds, which a hover makes small: what is moving
-    few_percent: float = 1.0  # of the points, to each side of each axis, may lie anywhere
-    at_rest: float = 1e-6  # variance, by the whole path's, below which the object does not move
-    most_growth: float = 3.0  # of the scale while it is refined; at a wrong shift it runs to 0
+    moving_percent: float = 90.0  # percentile of the speeds taken as that in motion, despite hovers
+    few_percent: float = 1.0  # of the points that may be outliers at either end of each axis
+    at_rest: float = 1e-6  # variance, in squares of the spread, below which the object is at rest
+    most_growth: float = 3.0  # of the scale in the refinement; at a wrong shift it goes to 0
 
 
 RULES = PathRules()
@@ -54,7 +54,7 @@ RULES = PathRules()
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """Takes points from the source's frame to the target's: x -> scale R x + t."""
+    """A similarity from the source's frame to the target's: x -> scale R x + t."""
 
     scale: float
     R: Array  # (3, 3)
@@ -90,10 +90,10 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
 
 
 class InTime:
-    """A path as a function of time: a curve, and where there is nothing of it."""
+    """A path as a function of time: a curve and its gaps."""
 
     def __init__(self, times_s: Array, curve: PPoly | BSpline) -> None:
-        self.times_s = times_s  # (n,) of the points that it was made of
+        self.times_s = times_s  # (n,) of the points from which the curve was made
         self._curve, self._velocity = curve, curve.derivative()
         steps_s = np.diff(times_s)
         self._is_gap = steps_s > max(RULES.gap_s, RULES.gap_steps * float(np.median(steps_s)))
@@ -107,7 +107,7 @@ class InTime:
         return np.where(self.covers(times_s)[:, None], self._velocity(times_s), np.nan)
 
     def covers(self, times_s: Array) -> Mask:
-        """Say at which times (n,) there is a position; at each point itself there is."""
+        """Whether there is a position at times (n,); at the points' own times there always is."""
         inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
         piece = np.searchsorted(self.times_s, times_s, side="right") - 1
         piece = np.clip(piece, 0, len(self._is_gap) - 1)
@@ -115,15 +115,15 @@ class InTime:
 
 
 def interpolated(path: Path) -> InTime:
-    """Give Akima's cubics through all points: no gap and no outlier swings beyond two."""
+    """Interpolate by Akima's cubics: gaps and outliers affect slopes two points away at most."""
     return InTime(path.times_s, Akima1DInterpolator(path.times_s, path.positions_m, axis=0))
 
 
 def smoothed(path: Path) -> InTime:
-    """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
+    """Fit the robust least-squares cubic spline whose knot spacing cross-validation prefers.
 
-    A shift that is sought on points with noise would go half-way between them, where interpolation
-    takes the mean of two and so half of the noise: 10 ms of a path at 50 Hz.
+    Without it, the best shift would be drawn half-way between noisy points, by 10 ms at 50 Hz, as
+    interpolation takes the mean of two there, which halves the noise variance.
     """
     best, least = None, np.inf
     for n in RULES.points_per_knot:
@@ -140,7 +140,7 @@ def smoothed(path: Path) -> InTime:
 
 
 def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
-    """Fit a spline of so many points from knot to knot; give it, and what it misses (n, 3)."""
+    """Fit a robust spline with so many points per knot; return it and its residuals (n, 3)."""
     times_s = path.times_s
     inner = times_s[points_per_knot:-points_per_knot:points_per_knot]
     knots_s = np.r_[[times_s[0]] * 4, inner, [times_s[-1]] * 4]
@@ -178,7 +178,7 @@ def _best_shifts_s(
 def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Array]:
     """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common."""
     # Umeyama's similarity needs means, variances and the covariance of what both even paths have in
-    # common: correlations of the paths, and of what is seen of them, 0 where nothing is.
+    # common: correlations of the paths, 0 in gaps, and of the masks of their samples.
     rows_e, rows_t = _moments(estimate), _moments(truth)
     n_e, n_t = rows_e.shape[1], rows_t.shape[1]
     size = next_fast_len(n_e + n_t - 1, real=True)
@@ -226,21 +226,21 @@ def _moments(positions: Array) -> Array:
 
 
 def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:
-    """Positions (n, 3) from the first on, NaN where none is, about their middle by a unit."""
+    """Positions (n, 3) on an even grid, NaN in gaps, from their median, divided by a unit."""
     times_s = np.arange(path.times_s[0], path.times_s[-1] + step_s, step_s)
     middle = np.median(path.at(path.times_s), axis=0)
     return np.asarray((path.at(times_s) - middle) / (unit or _spread(path)))
 
 
 def _spread(path: InTime) -> float:
-    """Length [m] of the diagonal of what nearly all of a path lies within."""
+    """Diagonal [m] of the box that contains nearly all of a path."""
     ends = RULES.few_percent, 100.0 - RULES.few_percent
     low, high = np.percentile(path.at(path.times_s), ends, axis=0)
     return float(np.linalg.norm(high - low)) or 1.0
 
 
 def _step_s(path: InTime) -> float:
-    """Step [s] in which a path that moves gets a small share of its spread further."""
+    """Step [s] in which a moving object covers a small share of its path's spread."""
     speeds = np.linalg.norm(path.velocity(path.times_s), axis=1)
     speed = max(float(np.percentile(speeds, RULES.moving_percent)), np.finfo(float).tiny)
     return float(np.clip(_spread(path) / (RULES.steps_per_spread * speed), *RULES.steps_s))
@@ -253,10 +253,10 @@ def best_shift(
     rate_std_ppm: float = RATE_STD_PPM,
     with_scale: bool = True,
 ) -> tuple[Clock, Similarity]:
-    """Find the truth's clock as the estimate's times see it, and how its frame is reached.
+    """Find the truth's clock relative to the estimate's, and the similarity to the truth's frame.
 
-    Each path may begin and end where it likes and have gaps. Shifts are tried up to a bound, to
-    both sides, or all that leave enough common time; the prior of the rate is 0 where clocks run
+    Each path may begin and end at any time and have gaps. Shifts are tried up to `max_shift_s` in
+    either direction, or all that leave enough common time; `rate_std_ppm` is 0 where clocks run
     alike. SsacError if the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate), None, -np.inf
@@ -276,7 +276,7 @@ def best_shift(
 def _refined(
     path: InTime, truth: Path, shift_s: float, rate_std_ppm: float, with_scale: bool
 ) -> tuple[Clock, Similarity] | None:
-    """Refine shift, rate and similarity by Gauss-Newton; None where they run away."""
+    """Refine shift, rate and similarity by Gauss-Newton; None where they diverge."""
     common_s = truth.times_s[path.covers(truth.times_s - shift_s)] - shift_s
     if len(common_s) < RULES.least_samples:
         return None
@@ -309,7 +309,7 @@ def _stepped(
     rate_std_ppm: float,
     with_scale: bool,
 ) -> tuple[Clock, Similarity]:
-    """Step by Gauss-Newton, Cauchy's weights: shift [s], rate, turn [rad], move, log of scale."""
+    """Take a Gauss-Newton step, robustly: of shift [s], rate, turn [rad], move, log of scale."""
     laid = frame.apply(path.at(times_s))
     missed = target - laid  # (n, 3)
     weights = cauchy_weights(np.linalg.norm(missed, axis=1))[0]
@@ -331,7 +331,7 @@ def _stepped(
         prior = (robust_deviation(missed) / (PPM * rate_std_ppm)) ** 2
         normal[1, 1] += prior
         right[1] -= prior * PPM * clock.skew_ppm
-    unit = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))  # seconds beside metres
+    unit = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))  # units differ
     step = np.zeros(9)
     scaled = (normal / np.outer(unit, unit))[np.ix_(free, free)]
     step[free] = np.linalg.lstsq(scaled, (right / unit)[free], rcond=1e-12)[0] / unit[free]
@@ -343,7 +343,7 @@ def _stepped(
 
 
 def _score(clock: Clock, frame: Similarity, path: InTime, truth: Path) -> float:
-    """Log likelihood by the share of the truth's motion that is left; a gross error counts once."""
+    """Log likelihood of the unexplained share of the truth's motion, with clipped gross errors."""
     times_s = clock.cam1_from_cam2(truth.times_s)
     seen = path.covers(times_s)
     target = truth.positions_m[seen]

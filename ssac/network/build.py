@@ -18,7 +18,7 @@ from ssac.track.moments import View, perspective_shifts, second_moments, spreads
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A network, and what stayed out of it."""
+    """A network, and the cameras left out of it."""
 
     members: list[int]  # cameras in it, in input order; the first is its reference
     network: Network
@@ -27,12 +27,12 @@ class Built:
 
     @property
     def states(self) -> dict[int, CameraState]:
-        """Give what is known of each member."""
+        """The state of each member, by its number."""
         return dict(zip(self.members, self.network.states, strict=True))
 
 
 def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) -> Built | None:
-    """Build the network of a group, by its first two's distance; None: no pair gives a path."""
+    """Build a group's network, scaled by its first two's distance; None: no pair gives a path."""
     placed = place_all(group, supports(group.links, group.rules))
     if placed is None:
         return None
@@ -53,7 +53,7 @@ def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) 
 def _supported(
     states: list[CameraState], cameras: list[Sightings], reach_s: float
 ) -> tuple[list[Array], list[Mask]]:
-    """Give each camera's sightings' network times, and which of them another camera shares."""
+    """Return the network times of each camera's sightings, and whether others see it then too."""
     times = [network_times(state, seen) for state, seen in zip(states, cameras, strict=True)]
     reaches_s = [max(reach_s, 2.5 * seen.interval_s) for seen in cameras]
     masks = [
@@ -70,7 +70,7 @@ def _knot_step_s(cameras: list[Sightings], rules: NetworkRules) -> float:
 
 
 def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) -> Built:
-    """Adjust clocks and poses alone, with affine clocks, from where the cameras were placed."""
+    """Adjust affine clocks and poses, without intrinsics, from the cameras' first placement."""
     members, rules = sorted(placed.states), group.rules
     based = rebased(placed.states, members[0])
     apart = float(np.linalg.norm(based[members[1]].t))
@@ -97,7 +97,7 @@ def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) 
 
 
 def _misfit(built: Built, rules: NetworkRules) -> int | None:
-    """Give the camera that fits far worse than the others, if one does."""
+    """Return the camera that fits far worse than the others, or None."""
     cameras = enumerate(built.network.cameras)
     rms = np.array([fit_of(built.network, k).rms_px / seen.camera.width for k, seen in cameras])
     worst = int(np.argmax(rms))
@@ -107,7 +107,7 @@ def _misfit(built: Built, rules: NetworkRules) -> int | None:
 
 
 def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
-    """Adjust all, leave out what is far off; pairs enter last, so that wrong ones show."""
+    """Adjust all parameters without outliers; pairs enter last, so that wrong ones show."""
     network, by = built.network, built.network.rules
     states = [
         with_strays(state, seen, by.piece_s, by.most_pieces) if seen.has_frames else state
@@ -133,7 +133,7 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
 
 
 def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
-    """Take what perspective does off silhouettes' centres."""
+    """Subtract the shift by perspective from the centroids of silhouettes."""
     even_s, moments = _shape(network)
     centred = []
     for k, seen in enumerate(network.cameras):
@@ -145,14 +145,14 @@ def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
         nearest = np.clip(np.rint(steps), 0, len(even_s) - 1)
         view = _view(network, k, times_s, seen.spreads_px2)
         shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)], rules.depth_power)
-        known = np.isfinite(seen.spreads_px2[:, :1])  # of the others it is another point
+        known = np.isfinite(seen.spreads_px2[:, :1])  # the others are no centroids
         points_px = seen.points_px - np.where(known, np.nan_to_num(shifts_px), 0.0)
         centred.append(replace(seen, points_px=points_px))
     return centred
 
 
 def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None:
-    """Follow one point of the body; centres of silhouettes count less. None: it is not told."""
+    """Follow one point of the body; elsewhere centroids count less. None: it is not determined."""
     looks = []
     for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
         if seen.images is None or seen.spreads_px2 is None or seen.camera.distortion_coeffs:
@@ -178,13 +178,13 @@ def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None
 
 
 def _times_on_path(network: Network, k: int) -> Array:
-    """Give the network's times (n,) of camera k's sightings, within the path."""
+    """Give the network's times (n,) of camera k's sightings, clipped to the path."""
     knots_s = network.path.knots_s
     return np.clip(network_times(network.states[k], network.cameras[k]), knots_s[0], knots_s[-1])
 
 
 def _shape(network: Network) -> tuple[Array, Array]:
-    """Give even network times (m,), and the object's second moments (m, 3, 3) then."""
+    """Return even network times (m,), and the object's second moments (m, 3, 3) at these."""
     knots_s, step_s = network.path.knots_s, network.rules.shape_step_s
     even_s: Array = np.arange(knots_s[0], knots_s[-1], step_s)
     even = []

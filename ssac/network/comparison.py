@@ -23,10 +23,10 @@ from ssac.network.tum import Path
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """Distances between two paths, one laid over the other."""
+    """Distances between two paths after the alignment of one with the other."""
 
     similarity: Similarity  # from the estimate's frame to the truth's
-    distances_m: Array  # (n,) of each sample
+    distances_m: Array  # (n,) one for each sample
 
     @property
     def rmse_m(self) -> float:
@@ -52,11 +52,11 @@ class InTime(Difference):
     times_s: Array  # (n,) on the truth's clock
     truth_m: Array  # (n, 3)
     estimate_m: Array  # (n, 3) in the truth's frame
-    coverage: float  # share of the truth's samples, from the estimate's first time to its last
+    coverage: float  # share of the truth's samples in the estimate's time span that it covers
 
     @property
     def explained(self) -> float:
-        """Share of the truth's variance that the estimate has too; far from 1: another flight."""
+        """Share of the truth's variance that the estimate explains; far from 1: another flight."""
         about_mean = np.sum((self.truth_m - self.truth_m.mean(axis=0)) ** 2)
         return float(1.0 - np.sum(self.distances_m**2) / about_mean)
 
@@ -79,9 +79,9 @@ class Comparison:
     """How far an estimate is from a truth."""
 
     in_time: InTime | None  # None: one of the two has no times
-    as_shape: Difference  # by ICP; of the estimate's own points, at times that the truth has
+    as_shape: Difference  # by ICP, of the estimate's points at times that the truth covers
     estimate_m: Array  # (m, 3) all of it in the truth's frame: in time where there are times
-    truth_m: Array  # (k, 3) all of it, the lever arm taken away
+    truth_m: Array  # (k, 3) all of it, without the lever arm
 
     def figures(self) -> dict[str, Any]:
         """Give its numbers by name, as machines read them."""
@@ -99,10 +99,10 @@ def compare(
 ) -> Comparison:
     """Compare an estimated path with a true one, each in a frame and on a clock of its own.
 
-    Where one has no times they are compared as shapes. Scale, shift and rate are as of
-    `ssac.network.align.best_shift`; the lever arm is where the truth's antenna is in the body
-    (forward, left, up), and needs its attitude. SsacError if that is missing, or they share too
-    little time or do not move enough.
+    If either has no times, they are compared as shapes only. Scale, shift and rate are as of
+    `ssac.network.align.best_shift`; the lever arm is the position of the truth's antenna in the
+    body (forward, left, up), and needs the truth's attitude. SsacError if that is missing, or if
+    the paths have too few points, share too little time or do not move enough.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
         if len(path) < 3:
@@ -117,7 +117,7 @@ def compare(
         clock, _ = best_shift(estimate, truth, max_shift_s, rate_std_ppm, with_scale)
         in_time = at_equal_times(estimate, truth, clock, with_scale)
         start = in_time.similarity
-        # Where the truth has a gap, or is over, the nearest of its points is another place's.
+        # In the truth's gaps and beyond its ends, its nearest point belongs to another time.
         points = points[interpolated(truth).covers(clock.cam2_from_cam1(estimate.times_s))]
     fit, distances_m = registered(points, _shape(truth), start, with_scale)
     frame = start or fit
@@ -127,7 +127,7 @@ def compare(
 
 
 def at_equal_times(estimate: Path, truth: Path, clock: Clock, with_scale: bool) -> InTime:
-    """Give the difference at the truth's samples, the truth's clock being known."""
+    """Return the difference at the truth's samples, given the truth's clock."""
     path, times_s = interpolated(estimate), clock.cam1_from_cam2(truth.times_s)
     seen = path.covers(times_s)
     between = (times_s >= estimate.times_s[0]) & (times_s <= estimate.times_s[-1])
@@ -142,7 +142,7 @@ def at_equal_times(estimate: Path, truth: Path, clock: Clock, with_scale: bool) 
 
 
 def without_lever_arm(truth: Path, lever_arm_m: tuple[float, float, float]) -> Path:
-    """Move the truth from its antenna to the body's origin."""
+    """Move the truth from its antenna to the body's origin; SsacError if it has no attitude."""
     if truth.quaternions is None:
         raise SsacError(
             "a lever arm turns with the body, and the truth has no attitude: give it as TUM with "
@@ -153,7 +153,7 @@ def without_lever_arm(truth: Path, lever_arm_m: tuple[float, float, float]) -> P
 
 
 def _shape(truth: Path) -> Array:
-    """Points of the truth and between them, but for its gaps."""
+    """Points (k, 3) of the truth, interpolated densely except in gaps."""
     n = len(truth)
     times_s = truth.times_s if truth.has_times else np.arange(n, dtype=np.float64)
     dense = 20  # points from one to the next
@@ -165,15 +165,15 @@ def _shape(truth: Path) -> Array:
 def registered(
     source: Array, target: Array, start: Similarity | None, with_scale: bool
 ) -> tuple[Similarity, Array]:
-    """Register points (n, 3) [m] to dense ones; give the distance (n,) [m] of each point too.
+    """Register points (n, 3) [m] with dense ones by ICP; return each point's distance (n,) [m] too.
 
-    Without a start the middles, sizes and main axes of whole flights agree at first.
+    Without a start, the first similarities align centroids, sizes and principal axes.
     """
     tree = KDTree(target)
-    thin = source[:: max(1, len(source) // 2000)]  # enough while it is moved
+    thin = source[:: max(1, len(source) // 2000)]  # enough for the iterations
     starts = [start] if start is not None else [*_by_main_axes(source, target, with_scale)]
     found = [_closest(thin, target, tree, each, with_scale) for each in starts]
-    # By the scale: a path that shrinks is near to everything.
+    # Relative to the scale: a path that shrinks is near to everything.
     best, _ = min(found, key=lambda fit: fit[1] / fit[0].scale)
     return best, np.asarray(tree.query(best.apply(source))[0])
 
@@ -181,7 +181,7 @@ def registered(
 def _closest(
     source: Array, target: Array, tree: KDTree, start: Similarity, with_scale: bool
 ) -> tuple[Similarity, float]:
-    """Move the source until its distances rest; give the similarity and their RMS [m]."""
+    """Iterate until the distances settle; return the similarity and their RMS [m]."""
     fit, before = start, np.inf
     most_growth = 2.0  # of the scale: the nearest points of a small path are one point
     for _ in range(200):
@@ -201,7 +201,7 @@ def _closest(
 
 
 def _by_main_axes(source: Array, target: Array, with_scale: bool) -> Iterator[Similarity]:
-    """Yield the four similarities that take main axes to main axes."""
+    """Yield the four similarities that align the principal axes."""
     (middle, axes, size), (middle_target, axes_target, size_target) = map(_main, (source, target))
     scale = size_target / size if with_scale else 1.0
     for one, two in product((1.0, -1.0), repeat=2):
@@ -211,7 +211,7 @@ def _by_main_axes(source: Array, target: Array, with_scale: bool) -> Iterator[Si
 
 
 def _main(points: Array) -> tuple[Array, Array, float]:
-    """Give the middle (3,), main axes (3, 3) in columns, right-handed, and RMS size of points."""
+    """Return points' centroid (3,), principal axes (3, 3), right-handed columns, and RMS size."""
     middle = points.mean(axis=0)
     _, values, axes = np.linalg.svd(points - middle, full_matrices=False)
     if len(points) < 3 or values[1] <= 0.0:

@@ -1,8 +1,8 @@
-"""What pairs of cameras tell: which contradict each other, and who is connected by them.
+"""Links between pairs of cameras: which contradict each other, and which cameras they connect.
 
 The tangents of an object's outline are two-view constraints without the bias that limits the mean
-of its events, which is what the network's sightings are. All tangents of a pair of event cameras
-enter at once: by the clock and the pose that fit them best, and by the covariance of these.
+of its events, on which the network's sightings rest. All tangents of a pair of event cameras enter
+together: as the clock and the pose that fit them best, with the covariance of these.
 """
 
 from collections import Counter
@@ -27,34 +27,34 @@ Triple = tuple[int, int, int]
 
 _SIZE = 7  # offset, turn, direction, skew
 _STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
-"""By place of a camera's parameters: steps of the derivatives, all of functions nearly linear."""
+"""Steps of numerical derivatives of nearly linear functions, by place of a camera's parameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """What one pair of cameras (a, b) tells of both."""
+    """Clock and pose of camera b relative to camera a, as their pair (a, b) tells them."""
 
-    clock: Clock  # b's, by a's; its t_ref is in the middle of the common time
-    is_reliable: bool  # by the estimate's own status; no: a guess
-    cost: float  # how badly the two paths fit: the least of many is the best
+    clock: Clock  # b's relative to a's; its t_ref is in the middle of the common time
+    is_reliable: bool  # the pair has an estimate of the offset; False: a guess
+    cost: float  # misfit of the two tracks: the least is the best
     R: Array | None = None  # (3, 3) x_b = R x_a + t
     t: Array | None = None  # (3,) of length 1
     factor: Array | None = None
-    """(7, 7) lower: of the covariance of offset [s], turn, direction [rad] and skew, of two event
-    cameras whose tangents tell more than their sightings."""
+    """(7, 7) lower Cholesky factor of the covariance of offset [s], turn, direction [rad] and skew,
+    for two event cameras whose tangents tell more than their sightings."""
 
     def reversed(self) -> "Link":
-        """Give what the pair (b, a) tells, but for how sure that is."""
+        """Return the link of the pair (b, a), without the covariance factor."""
         R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
         return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
     def offset_off_s(self, a: CameraState, b: CameraState) -> Array:
-        """Give the offset that it tells less what two states say (1,) [s]."""
+        """Return the link's offset less that of two states (1,) [s]."""
         own_s = np.array([self.clock.t_ref_s])
         return self.clock.cam2_from_cam1(own_s) - b.own_from_network(a.network_from_own(own_s))
 
     def off(self, a: CameraState, b: CameraState) -> Array:
-        """Give what it tells less what two states say (7,): of offset, turn, direction and skew."""
+        """Return the link's offset, turn, direction and skew less those of two states (7,)."""
         told_R, told_t, R = np.asarray(self.R), np.asarray(self.t), b.R @ a.R.T
         t = b.t - R @ a.t
         t = t / np.linalg.norm(t)
@@ -64,7 +64,7 @@ class Link:
         return np.concatenate([self.offset_off_s(a, b), turn, direction, [skew]])
 
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
-        """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
+        """Return derivatives (7, s) by a's and by b's parameters, and residuals (7,), whitened."""
         off = self.off(a, b)
         by_a = _slopes(lambda moved: self.off(moved, b), a)
         by_b = _slopes(lambda moved: self.off(a, moved), b)
@@ -75,7 +75,7 @@ class Link:
 
 
 def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
-    """Give derivatives (7, s), of what a state says, by differences."""
+    """Return derivatives (7, s) of what a state predicts, by central differences."""
     by = np.zeros((_SIZE, state.size))
     for place, size in _STEPS.items():
         step = np.zeros(state.size)
@@ -85,7 +85,7 @@ def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
 
 
 def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
-    """Go from a to b to c, less from a to c straight [s] at its t_ref, in each triple."""
+    """Closure error [s] of each triple: a to b to c less a to c directly, at the latter's t_ref."""
     found = {}
     for a, b, c in combinations(sorted({camera for pair in clocks for camera in pair}), 3):
         if all(pair in clocks for pair in ((a, b), (b, c), (a, c))):
@@ -96,7 +96,7 @@ def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
 
 
 def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]:
-    """Count the triples that close with each pair, as wrong clocks do not; -1: none of some."""
+    """Count, for each pair, the triples whose clocks agree; -1 if it has triples, but no such."""
     closures = closures_s({pair: link.clock for pair, link in links.items()})
     found = dict[Pair, int]()
     for pair in links:
@@ -107,7 +107,7 @@ def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]
 
 
 def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
-    """Give the cameras that reliable links connect, the largest group first; lone ones too."""
+    """Return groups of cameras that reliable links connect, largest first; lone cameras too."""
     pairs = [pair for pair, link in links.items() if link.is_reliable]
     joined = np.zeros((n_cameras, n_cameras))
     joined[tuple(np.array(pairs, np.int64).reshape(-1, 2).T)] = 1.0
@@ -117,7 +117,7 @@ def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
 
 
 def factor_of(estimate: Estimate) -> Array | None:
-    """Give how sure an estimate is of clock and pose, as of `Link`; None without its covariance."""
+    """Return an estimate's covariance factor, as of `Link`; None where it has no covariance."""
     known = estimate.covariance
     if estimate.status != Status.OK or known is None or estimate.R is None:
         return None
@@ -137,7 +137,7 @@ def factor_of(estimate: Estimate) -> Array | None:
 def agreeing(
     links: Mapping[Pair, Link], members: list[int], states: list[CameraState], rules: NetworkRules
 ) -> dict[Pair, Link]:
-    """Give the sure pairs of members that tell nearly what the states say, by places of these."""
+    """Return the links with a factor that nearly agree with the states, by places of these."""
     found, places = dict[Pair, Link](), {k: place for place, k in enumerate(members)}
     for (a, b), link in links.items():
         if link.factor is not None and a in places and b in places:
@@ -149,6 +149,6 @@ def agreeing(
 
 
 def shared_by(constraints: Mapping[Pair, Link]) -> dict[Pair, float]:
-    """Say for how many pairs each stands that share outlines: the mean of both cameras' pairs."""
+    """Return how many pairs share outlines with each: the mean of both cameras' counts."""
     counts = Counter(camera for pair in constraints for camera in pair)
     return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in constraints}

@@ -1,4 +1,4 @@
-"""The frame and the scale of a network, where positions of cameras or a path by RTK give them."""
+"""The frame and the scale of a network, as given by positions of cameras or an RTK path."""
 
 import csv
 from dataclasses import dataclass, replace
@@ -20,14 +20,14 @@ POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The frame that is known, as the network sees it."""
+    """A known frame, relative to that of the network."""
 
-    similarity: Similarity  # from the first camera's frame to it
+    similarity: Similarity  # from the first camera's frame to the known one
     said: str  # how well it fits, for people
 
 
 def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
-    """Fit three cameras or more to where they are said to stand; SsacError if that is not so."""
+    """Fit at least three cameras to their given positions; SsacError if these contradict poses."""
     said = load_positions(file)
     placed = {k: one.centre for k, one in enumerate(answer.cameras, 1) if one.group == 1}
     here, there = (np.array([of[k] for k in said if k in placed]) for of in (placed, said))
@@ -54,9 +54,9 @@ def ground_of_rtk(
     rules: GroundRules,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Ground:
-    """Lay the path of a network over one of RTK, whose clock is free.
+    """Align the path of a network with one by RTK, whose clock is unknown.
 
-    With a lever arm, the place of the antenna in the body (forward, left, up), the file has the
+    With a lever arm, the antenna's position in the body (forward, left, up), the file must have the
     attitude, and the path is of the body's origin. SsacError if the file is of another flight.
     """
     path, rtk = answer.paths[0].path, read_path(file)
@@ -77,14 +77,14 @@ def ground_of_rtk(
 
 
 def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:
-    """Raise SsacError unless a file is a path in metres, with times, and what a lever arm needs."""
+    """Raise SsacError unless a file has a path in metres, times, and attitudes for a lever arm."""
     rtk = read_path(file)
     if lever_arm_m is not None:
         without_lever_arm(rtk, lever_arm_m)
 
 
 def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
-    """Give cameras and path of the first group in a frame that is known; others stay."""
+    """Express cameras and path of the first group in a known frame; other groups stay."""
     frame, cameras = ground.similarity, list[CameraAnswer]()
     for camera in answer.cameras:
         R, t, t_std = camera.R, camera.t, camera.t_std
@@ -102,7 +102,7 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
 
 
 def load_positions(file: Path) -> dict[int, Array]:
-    """Read where cameras stand: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
+    """Read positions of cameras: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
     check_is_file(file)
     with (
         readable(file, "a text file of positions"),

@@ -2,8 +2,8 @@
 
 The normal matrix is an arrowhead: banded where the path's coefficients are, with a border of the
 parameters of the cameras. It is solved by the Schur complement of the band, in time linear in the
-path's length, although the border grows with that too: a piece of a clock moves seconds of the path
-and nothing beyond.
+path's length, although the border grows with that too, because a piece of a clock affects only
+seconds of the path.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ BAND = 12
 """Entries of a column of the lower band: four neighbouring coefficients of three axes."""
 
 ORDER = 4
-"""Splines that are not zero at a time: of a cubic one."""
+"""Basis splines that are not zero at a time: four for a cubic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +31,13 @@ class Spline:
     coefficients: Array  # (m, 3)
 
     def at(self, times_s: Array, derivative: int = 0) -> Array:
-        """Positions (n, 3) at times (n,) [s], or their derivatives; beyond the ends a cubic."""
+        """Positions (n, 3) at times (n,) [s], or derivatives; the end cubics extend beyond."""
         first, weights = basis(self.knots_s, times_s, derivative)
         return products(first, weights, self.coefficients)
 
 
 def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
-    """Place knots (m + 4,), ends fourfold, a step apart where times (n,) have no gaps."""
+    """Place knots (m + 4,), ends fourfold, at most a step apart where times (n,) have no gaps."""
     ordered = np.sort(times_s)
     ends = np.flatnonzero(np.diff(ordered) > max_gap_s)
     starts = np.concatenate([[0], ends + 1])
@@ -54,10 +54,10 @@ def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
 
 
 def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[IntArray, Array]:
-    """Evaluate the splines that are not zero at times (n,): de Boor's recursion.
+    """Evaluate the basis splines that are not zero at times (n,), by de Boor's recursion.
 
-    Gives the first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
-    derivative of that order, up to 3 [1/s^derivative].
+    Returns the index (n,) of the first of four neighbouring coefficients, and their weights (n, 4)
+    for the derivative of that order, up to 3 [1/s^derivative].
     """
     m = len(knots_s) - ORDER
     span = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, ORDER - 1, m - 1)
@@ -80,13 +80,13 @@ def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[IntArray
 
 
 def products(first: IntArray, weights: Array, coefficients: Array) -> Array:
-    """Sum up four neighbouring coefficients (m, 3) each, as of `basis`: (n, 3)."""
+    """Weighted sums (n, 3) of four neighbouring coefficients (m, 3) each, as of `basis`."""
     around = coefficients[first[:, None] + np.arange(ORDER)]
     return np.asarray(np.einsum("na,nax->nx", weights, around))
 
 
 def jerks(knots_s: Array) -> tuple[IntArray, Array]:
-    """Give each span's third derivative [s^-2.5], of squares that sum to its integral."""
+    """Rows [s^-2.5] as of `basis`, whose products' squares sum to the squared jerk's integral."""
     inner = knots_s[ORDER - 1 : len(knots_s) - ORDER + 1]
     first, weights = basis(knots_s, 0.5 * (inner[:-1] + inner[1:]), 3)
     return first, weights * np.sqrt(np.diff(inner))[:, None]
@@ -94,17 +94,17 @@ def jerks(knots_s: Array) -> tuple[IntArray, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Sightings of one camera, linearised, all over their deviations."""
+    """Linearised sightings of one camera, divided by their deviations."""
 
-    first: IntArray  # (n,) of the path's coefficients
+    first: IntArray  # (n,) of four coefficients of the path
     weights: Array  # (n, 4)
     by_point: Array  # (n, 2, 3)
-    by_camera: Array  # (n, 2, p)
-    columns: IntArray  # (n, p) among the border's
+    by_camera: Array  # (n, 2, p) by the parameters at `columns`
+    columns: IntArray  # (n, p) places in the border
     residuals: Array  # (n, 2)
 
     def weighed(self, rows: IntArray, scale: Array, offset: int) -> "Linear":
-        """Give some rows, times a scale each, of a camera whose columns begin at an offset."""
+        """Return chosen rows, each times a scale, of a camera whose columns begin at an offset."""
         by_point, by_camera = (
             part[rows] * scale[:, None, None] for part in (self.by_point, self.by_camera)
         )
@@ -114,7 +114,7 @@ class Linear:
 
 
 class Normal:
-    """Normal equations: m numbers of the path, b of the cameras."""
+    """Normal equations of the path's m coefficients and the cameras' b parameters."""
 
     def __init__(self, n_coefficients: int, n_border: int) -> None:
         m = 3 * n_coefficients
@@ -133,7 +133,7 @@ class Normal:
         _add_sightings(places, weights, by_point, by_camera, residuals, path, border, self.mixed)
 
     def add_smoothness(self, first: IntArray, weights: Array, coefficients: Array) -> Array:
-        """Add rows (k, 4) of all axes, whose products (k, 3) with the path are to be 0."""
+        """Add rows (k, 4) for all axes, whose `products` (k, 3) are to be 0; return the latter."""
         values = products(first, weights, coefficients)
         for a in range(ORDER):
             for x in range(3):
@@ -144,7 +144,7 @@ class Normal:
         return values
 
     def add_rows(self, rows: Array, residuals: Array) -> None:
-        """Add rows (k, b) that tell of the cameras alone, over their deviations."""
+        """Add rows (k, b) of the cameras' parameters alone, divided by their deviations."""
         sparse = csr_array(rows)
         self.border += (sparse.T @ sparse).toarray()
         self.right_border += rows.T @ residuals
@@ -152,13 +152,13 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A step, and the factors that tell its covariance."""
+    """A step, and the factors that give its covariance."""
 
     path: Array  # (m / 3, 3)
     border: Array  # (b,) 0 where held
-    free: IntArray  # (f,) of the border's
-    factor: Array  # (BAND, m) of the band
-    half: Array  # (f, m) L^-1 of what path and cameras share, L being the factor
+    free: IntArray  # (f,) places in the border
+    factor: Array  # (BAND, m) Cholesky factor L of the band
+    half: Array  # (f, m) L^-1 times the free rows that path and cameras share
     schur: tuple[Array, bool] = field(repr=False)
 
     def border_covariance(self) -> Array:
@@ -168,7 +168,7 @@ class Solved:
         return covariance
 
     def path_covariances(self, first: IntArray, weights: Array, with_cameras: bool = True) -> Array:
-        """Covariances (n, 3, 3) of the path's points, as of `basis`; of known cameras if not."""
+        """Covariances (n, 3, 3) of points as of `basis`; without cameras, these count as known."""
         inverse = np.asarray(_inverse_band(self.factor), np.float64)
         if with_cameras and len(self.free):
             # The path moves by -spread' when the cameras do, which adds spread' S^-1 spread to its
@@ -187,7 +187,7 @@ class Solved:
 
 
 def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
-    """Solve for the path and the free parameters; LinAlgError if the data leave some open."""
+    """Solve for the path and the free parameters; LinAlgError if any is undetermined."""
     band = normal.band.copy()
     band[0] *= 1.0 + damping
     factor = np.asarray(cholesky_banded(band, lower=True), np.float64)
@@ -215,7 +215,7 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
 
 
 def _blocks(spans: IntArray, m: int, more: int = 0) -> Iterator[tuple[int, int, IntArray]]:
-    """Cut m places into blocks, and say which rows, of spans (f, 2), are not 0 there."""
+    """Yield blocks of m places, each with the rows whose spans (f, 2) of non-zeros reach it."""
     block = 256
     for start in range(0, m, block):
         stop = min(start + block, m)
@@ -264,8 +264,8 @@ def _add_sightings(
 
 @numba.njit(cache=True)
 def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntArray]:
-    """Solve L y = x for rows x (f,) of a matrix (b, m): y (f, m), and where it is not 0 (f, 2)."""
-    # What is short in time, as a piece of a clock, fades in y from each coefficient to the next.
+    """Solve L y = x for f chosen rows x of (b, m): y (f, m), and its spans (f, 2) of non-zeros."""
+    # For an x that is short in time, as of a piece of a clock, y fades from its last entry on.
     m = factor.shape[1]
     solved, spans = np.zeros((len(chosen), m)), np.zeros((len(chosen), 2), np.int64)
     for k in range(len(chosen)):
@@ -275,7 +275,7 @@ def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntA
             start += 1
         while stop > start and given[stop - 1] == 0.0:
             stop -= 1
-        largest, faded, i = 0.0, 0, start  # a whole band of entries that are nothing has faded
+        largest, faded, i = 0.0, 0, start  # faded: a whole band of negligible entries
         while i < m and (i < stop or faded < BAND - 1):
             value = given[i]
             for j in range(1, min(BAND - 1, i - start) + 1):
@@ -289,7 +289,7 @@ def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntA
 
 
 def _backward(factor: Array, right: Array) -> tuple[Array, IntArray]:
-    """Solve L' y = x for rows x (f,): as `_forward`, from the end on, which mirrors the band."""
+    """Solve L' y = x for rows x (f, m): `_forward` from the end on, with a mirrored band."""
     mirrored = np.zeros_like(factor)
     for down, entries in enumerate(factor):
         mirrored[down, : len(entries) - down] = entries[len(entries) - 1 - down :: -1]
@@ -300,7 +300,7 @@ def _backward(factor: Array, right: Array) -> tuple[Array, IntArray]:
 
 @numba.njit(cache=True)
 def _inverse_band(factor: Array) -> Array:
-    """Give the band of L L''s inverse from L's (BAND, m): Takahashi's recursion."""
+    """Return the band of (L L')^-1 from that of L (BAND, m), by Takahashi's recursion."""
     m = factor.shape[1]
     inverse = np.zeros_like(factor)
     for i in range(m - 1, -1, -1):

@@ -1,7 +1,7 @@
 """A first clock and pose for every camera of a network, and a first path.
 
-Each pair with a pose is tried as a seed: the path that it gives is shown to all others, and the one
-on which the most others find their place wins. No camera's error can thus spoil the rest.
+Each pair with a pose is tried as a seed: the other cameras are resected on the path that it gives,
+and the seed that places the most cameras wins. No camera's error can thus spoil the rest.
 """
 
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ from ssac.rules import NetworkRules
 def triangulate(
     states: list[CameraState], cameras: list[Sightings], times_s: Array, rules: NetworkRules
 ) -> Array:
-    """Give the points (n, 3) that at least two cameras see at the network's times (n,); else NaN.
+    """Triangulate points (n, 3) at the network's times (n,); NaN where fewer than two cameras see.
 
-    The point nearest to all rays; it must be in front of two cameras at least, near their rays,
-    and these apart. A ray that is far off is left out once.
+    A point is the nearest to all rays. It must be in front of at least two cameras and near their
+    rays, which must be apart. Rays that are far off are left out once.
     """
     rays = np.stack(
         [
@@ -63,7 +63,7 @@ def triangulate(
 
 
 def are_apart(rays: Array, seen_by: Mask, least_deg: float) -> Mask:
-    """Whether any two of the rays (c, n, 3) that are seen at each time tell a depth (n,)."""
+    """Whether, at each time (n,), two of the rays (c, n, 3) seen are apart and tell a depth."""
     found = np.zeros(rays.shape[1], dtype=bool)
     least = np.sin(np.deg2rad(least_deg))
     for i, j in combinations(range(len(rays)), 2):
@@ -75,7 +75,7 @@ def are_apart(rays: Array, seen_by: Mask, least_deg: float) -> Mask:
 def first_path(
     knots_s: Array, times_s: Array, points: Array, rules: NetworkRules
 ) -> tuple[Spline, float]:
-    """Lay a smooth path through points (n, 3) at times (n,), robustly; and say its first jerk."""
+    """Fit a smooth path robustly to points (n, 3) at times (n,); also return the points' extent."""
     middle = np.median(points, axis=0)
     extent = float(np.median(np.linalg.norm(points - middle, axis=1))) + 1e-12
     first, weights = basis(knots_s, times_s)
@@ -108,7 +108,7 @@ class Placed:
     """Cameras with a first clock and pose; network time is that of the seed's first camera."""
 
     states: dict[int, CameraState]
-    inliers: int  # sample times at which they see the path in place, over all of them
+    inliers: int  # sample times at which the path fits a camera, summed over cameras
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +116,12 @@ class Group:
     """Cameras that are to be in one network."""
 
     cameras: list[Sightings]  # all of them
-    links: Mapping[Pair, Link]  # what pairs (a, b), a < b, tell
-    members: list[int]  # the numbers of those of the group
+    links: Mapping[Pair, Link]  # of pairs (a, b), a < b
+    members: list[int]  # numbers of the group's cameras
     rules: NetworkRules
 
     def link(self, a: int, b: int) -> Link | None:
-        """Give what a pair tells, in either order."""
+        """Return the link of a pair in either order; None if there is none."""
         if (a, b) in self.links:
             return self.links[a, b]
         return self.links[b, a].reversed() if (b, a) in self.links else None
@@ -167,7 +167,7 @@ def grown(placed: Placed, group: Group) -> Placed:
 
 
 def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraState]:
-    """Put affine clocks and poses into the clock and the frame of one camera."""
+    """Express affine clocks and poses in the clock and the frame of one camera."""
     base = states[reference]
     alpha = 1.0 / (1.0 - base.rate)
     beta_s = float(base.own_from_network(np.zeros(1))[0])
@@ -180,7 +180,7 @@ def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraS
 
 
 def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
-    """Place a pair, and see that its path is in front of both."""
+    """Place a pair; None unless enough of its path is in front of both cameras."""
     (a, b), cameras, rules = pair, group.cameras, group.rules
     first = CameraState(middle_s=cameras[a].middle_s)
     R, t = np.asarray(link.R), np.asarray(link.t)  # which seeds have
@@ -193,7 +193,7 @@ def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
 
 
 def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraState:
-    """Give a camera the clock that a link from another, placed one tells."""
+    """Set a camera's clock by its link from another camera, which is placed."""
     away_s = 1.0 + abs(state.middle_s) * 1e-3
     own_s = state.middle_s + away_s * np.array([-1.0, 1.0])
     passed_s = other.network_from_own(link.clock.cam1_from_cam2(own_s))
@@ -202,7 +202,7 @@ def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraSta
 
 
 def _path_of(placed: Placed, group: Group) -> tuple[Array, Array]:
-    """Give times (n,) at which two cameras placed see the object, and points (n, 3) or NaN."""
+    """Return times (n,) at which two placed cameras see the object, and points (n, 3) or NaN."""
     states, cameras = list(placed.states.values()), [group.cameras[k] for k in placed.states]
     both = list(zip(states, cameras, strict=True))
     spans = [state.network_from_own(np.array(seen.span_s)) for state, seen in both]
@@ -217,7 +217,7 @@ def _path_of(placed: Placed, group: Group) -> tuple[Array, Array]:
 def _best_fit(
     k: int, placed: Placed, group: Group, path: tuple[Array, Array]
 ) -> tuple[int, CameraState | None]:
-    """Find a camera's place on a path, with the clock of each of its links to those placed."""
+    """Resect a camera on a path with the clock of each link to a placed camera; keep the best."""
     best, found, seen = 0, None, group.cameras[k]
     for other, state in placed.states.items():
         link = group.link(other, k)
@@ -232,7 +232,7 @@ def _best_fit(
 def _resected(
     state: CameraState, seen: Sightings, times_s: Array, points: Array, rules: NetworkRules
 ) -> tuple[int, CameraState | None]:
-    """Find a pose from points (n, 3) with its clock, and how many it fits; or 0 and None."""
+    """Resect a camera of known clock on points (n, 3): inliers and state, or 0 and None."""
     track = seen.motion.at(state.own_from_network(times_s))
     valid = track.valid
     n = int(np.count_nonzero(valid))

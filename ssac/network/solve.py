@@ -1,4 +1,4 @@
-"""Clocks, poses and paths of all cameras, of each group that pairs connect."""
+"""Clocks and poses of all cameras, and a path for each group that pairs connect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ from ssac.search.all_offsets import Guess
 
 @dataclass(frozen=True, eq=False)
 class CameraAnswer:
-    """What is known of one camera; times are of the clock of its group's first camera."""
+    """The estimate of one camera; times are on the clock of its group's first camera."""
 
     name: str
     status: str = Status.OK
@@ -43,7 +43,7 @@ class CameraAnswer:
     t: Array | None = None  # (3,)
     r_std_deg: float = np.nan
     t_std: Array | None = None  # (3,) in the unit of t
-    centre_covariance: Array | None = None  # (3, 3) of where it stands
+    centre_covariance: Array | None = None  # (3, 3) of the projection centre
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) first camera's clock
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     n_samples: int = 0
@@ -52,7 +52,7 @@ class CameraAnswer:
 
     @property
     def centre(self) -> Array | None:
-        """Where it stands (3,) in its group's frame; None where that is not known."""
+        """Projection centre (3,) in its group's frame; None where it is not known."""
         return None if self.R is None or self.t is None else np.asarray(-self.R.T @ self.t)
 
 
@@ -61,11 +61,11 @@ class PathAnswer:
     """The object's path in the frame and on the clock of a group's first camera."""
 
     path: Path
-    spans_s: Array  # (k, 2) between which it holds
+    spans_s: Array  # (k, 2) intervals in which the path holds
 
 
 def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
-    """Tell of the k-th camera of a network."""
+    """Return the estimate of the k-th camera of a network."""
     network = built.network
     state, seen, fit = network.states[k], network.cameras[k], fit_of(network, k)
     used_s = network_times(state, seen)[fit.used]
@@ -103,7 +103,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
 
 
 def _holds_at(network: Network, times_s: Array) -> Mask:
-    """Whether two cameras, whose rays are apart, see the object at times (n,): the path holds."""
+    """Whether the path holds at times (n,): two cameras see the object on rays that are apart."""
     rules, near = network.rules, list[Mask]()
     for state, seen, enabled in zip(network.states, network.cameras, network.enabled, strict=True):
         reach_s = max(rules.reach_s, rules.reach_intervals * seen.interval_s)
@@ -117,7 +117,7 @@ def _holds_at(network: Network, times_s: Array) -> Mask:
 
 
 def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Path:
-    """Give the path at times (n,), whether it holds or not; in the first camera's frame."""
+    """Sample the path at times (n,), whether it holds or not; in `frame` or the first camera's."""
     network = built.network
     first, weights = basis(network.path.knots_s, times_s)
     covariances = built.solved.path_covariances(first, weights) * network.lasting
@@ -142,13 +142,13 @@ def path_of(built: Built, frame: Similarity | None = None) -> PathAnswer:
 
 @dataclass(frozen=True, eq=False)
 class NetworkAnswer:
-    """What is found of many cameras."""
+    """The estimates of all cameras, and their networks and paths."""
 
     cameras: list[CameraAnswer]  # in input order
-    closures_s: dict[Triple, float]  # of reliable pairs
+    closures_s: dict[Triple, float]  # closure errors of reliable pairs
     wrong_pairs: dict[Pair, float]  # by how much [s] their clocks contradict the network
     built: list[Built]  # a network for each group
-    paths: list[PathAnswer]  # theirs
+    paths: list[PathAnswer]  # one for each network
 
     @property
     def status(self) -> Status:
@@ -172,8 +172,8 @@ class NetworkAnswer:
 
 
 def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
-    """Say what a pair tells; of two event cameras more than their sightings; None for nothing."""
-    if estimate.has_offset:  # what its clock strays is the network's to find
+    """Return the link of a pair, with a factor if it is `of_events`; None if nothing is known."""
+    if estimate.has_offset:  # the network estimates the strays
         t_ref_s = estimate.t_ref_s
         if not np.isfinite(t_ref_s):
             t_ref_s = 0.0 if guess is None else guess.t_ref_s
@@ -210,8 +210,8 @@ def solve_network(
 ) -> NetworkAnswer:
     """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
-    What their pairs (a, b), a < b, tell may be wrong or missing for some. The prior is the
-    deviation of the clocks' skews, the distance that between the first two cameras of each group.
+    Links of some pairs (a, b), a < b, may be wrong or missing. `skew_prior_ppm` is the deviation of
+    the clocks' skews, `distance` that between the first two cameras of each group.
     """
     listed, built_all = list(cameras), list[Built]()
     priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]

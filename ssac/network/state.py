@@ -1,14 +1,14 @@
 """One camera of a network: where it saw the object, and its clock, pose and intrinsics.
 
-The network's time is that of its first camera's clock, strays apart. A sighting that a camera's
-clock shows at time T, in a share y of the image's rows, is of the network's time
+The network's time is that of its first camera's clock, strays apart. A sighting at time T of a
+camera's clock, in the share y of the image's rows, has the network's time
 
     t = T + readout y - delay - rate (T - T_mid) - stray(T),
 
-linear in all that is to be found. Strays are linear between knots, without offset or slope.
+which is linear in all unknowns. Strays are linear between knots, without offset or slope.
 
-Events come once an edge has gone on by some share of a pixel: the object seems to be behind where
-it is, by a length along its motion in the image, not by a time. Where it is slow that is longer.
+Events come once an edge has moved on by some share of a pixel: the object appears behind its true
+position by a length along its motion in the image, not by a time, which is longer where it is slow.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,16 +32,16 @@ class Sightings:
 
     name: str
     camera: Camera
-    times_s: Array  # (n,) ascending; of the points' own rows, as far as the rig tells the readout
+    times_s: Array  # (n,) ascending; of each point's own row, if the rig states the readout
     points_px: Array  # (n, 2) undistorted
     rows: Array  # (n,) 0 at the image's first row, 1 at its last
     sigmas_px: Array  # (n,) of each coordinate
-    motion: PointMotion  # the same, to be sampled at any time
-    has_frames: bool  # rows may be read out one after the other; no: events
+    motion: PointMotion  # the points as a function of time
+    has_frames: bool  # frames, perhaps of a rolling shutter; False: events
     spreads_px2: Array | None = None
-    """(n, 3) second moments of the silhouettes whose centres of area the points are; NaN where one
-    is another point of the object; None where all are."""
-    images: Images | None = None  # the silhouettes, distorted as they are
+    """(n, 3) second moments of the silhouettes whose centroids the points are; NaN where a point is
+    another one of the object; None where all are."""
+    images: Images | None = None  # the silhouettes, not undistorted
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -63,7 +63,7 @@ class Sightings:
 
     @property
     def shares(self) -> Array:
-        """Deviation of each sighting (n,), by the median of them."""
+        """Deviation of each sighting (n,) relative to their median."""
         return np.asarray(self.sigmas_px / np.median(self.sigmas_px))
 
 
@@ -86,7 +86,7 @@ def sightings(
 
 
 def is_near(times_s: Array, seen_s: Array, reach_s: float) -> Mask:
-    """Whether any of the times (m,) that a camera saw something is within reach of times (n,)."""
+    """Whether any of a camera's sightings, at times (m,), is within reach of times (n,)."""
     if not len(seen_s):
         return np.zeros(len(times_s), dtype=bool)
     ordered = np.sort(seen_s)
@@ -107,39 +107,39 @@ _ZEROS, _NONE = partial(np.zeros, 2), partial(np.empty, 0)
 
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """What is known of one camera of a network; by default it is at its frame's origin."""
+    """Clock, pose and intrinsics of one camera; by default it is at the network's origin."""
 
     delay_s: float = 0.0
     rate: float = 0.0  # by which share of its own time its clock is fast
     middle_s: float = 0.0  # T_mid, its own clock
-    readout_s: float = 0.0  # beside what its rig says
+    readout_s: float = 0.0  # in addition to the rig's
     R: Array = field(default_factory=partial(np.eye, 3))  # x = R X + t, X in the network's frame
     t: Array = field(default_factory=partial(np.zeros, 3))
     focal: Array = field(default_factory=_ZEROS)  # (2,) change of fu and fv, as a share
     centre_px: Array = field(default_factory=_ZEROS)  # (2,) change of pu and pv
-    behind_px: float = 0.0  # by which the object seems to be behind its motion
+    behind_px: float = 0.0  # by which the object appears behind, along its motion
     knots_s: Array = field(default_factory=_NONE)  # (k,) its own clock; empty: its clock is affine
     strays_s: Array = field(default_factory=_NONE)  # (k,)
 
     @property
     def size(self) -> int:
-        """Count its parameters."""
+        """Number of its parameters."""
         return STRAYS + len(self.strays_s)
 
     @property
     def centre(self) -> Array:
-        """Where it stands (3,) in the network's frame."""
+        """Projection centre (3,) in the network's frame."""
         return np.asarray(-self.R.T @ self.t)
 
     def network_from_own(self, times_s: Array) -> Array:
-        """Give the network's time (n,) [s] of what its clock shows; of the image's first row."""
+        """Convert times (n,) [s] of its clock to the network's, for the image's first row."""
         passed_s = times_s - self.delay_s - self.rate * (times_s - self.middle_s)
         if len(self.knots_s):
             passed_s = passed_s - np.interp(times_s, self.knots_s, self.strays_s)
         return np.asarray(passed_s)
 
     def own_from_network(self, times_s: Array) -> Array:
-        """Give what its clock shows (n,) [s] at the network's times."""
+        """Convert the network's times (n,) [s] to those of its clock."""
         affine_s = times_s + self.delay_s - self.rate * self.middle_s
         own_s = affine_s / (1.0 - self.rate)
         for _ in range(3 if len(self.knots_s) else 0):  # strays change slowly
@@ -164,7 +164,7 @@ class CameraState:
 
 
 def with_strays(state: CameraState, seen: Sightings, piece_s: float, most: int) -> CameraState:
-    """Let its clock stray between knots some seconds apart, as far as it records."""
+    """Add strays to a camera's clock, with knots about `piece_s` apart over its recording."""
     start_s, end_s = seen.span_s
     n = int(np.clip(np.rint((end_s - start_s) / piece_s), 0, most))
     if n < 2:
@@ -180,13 +180,13 @@ def network_times(state: CameraState, seen: Sightings) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Where a camera is to see points of the path, and what changes that."""
+    """Projections of points of the path into a camera, and their derivatives."""
 
     points_px: Array  # (n, 2)
     in_front: Mask  # (n,)
     by_point: Array  # (n, 2, 3)
-    by_camera: Array  # (n, 2, p) of the parameters at `columns`
-    columns: IntArray  # (n, p) places among the camera's own
+    by_camera: Array  # (n, 2, p) by the parameters at `columns`
+    columns: IntArray  # (n, p) places among the camera's parameters
 
 
 def projected(state: CameraState, seen: Sightings, points: Array, velocities: Array) -> Projected:
@@ -213,9 +213,9 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
     by_camera[:, 0, FOCAL.start] = K[0, 0] * x[:, 0]
     by_camera[:, 1, FOCAL.start + 1] = K[1, 1] * x[:, 1]
     by_camera[:, 0, CENTRE.start] = by_camera[:, 1, CENTRE.start + 1] = 1.0
-    # An image slower than 1 px/s has no direction that events are behind in.
+    # Below about 1 px/s in the image there is no direction in which events could lag.
     speeds = np.sqrt(np.sum(by_time**2, axis=1) + 1.0)
-    by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # how that turns moves next to nothing
+    by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # the change of direction is negligible
     columns = np.tile(np.arange(p), (n, 1))
     if k:
         piece = np.clip(np.searchsorted(state.knots_s, seen.times_s, "right") - 1, 0, k - 2)

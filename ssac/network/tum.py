@@ -2,8 +2,8 @@
 
 The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
 deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too. A TUM file has no place
-for deviations; where the attitude is unknown it says `0 0 0 1` in each row. Of a path whose scale
-is unknown the unit is not a metre but the distance between cameras 1 and 2.
+for deviations; where the attitude is unknown it says `0 0 0 1` in each row. Where the scale
+is unknown, the unit is not a metre but the distance between cameras 1 and 2.
 """
 
 import pathlib
@@ -29,7 +29,7 @@ _NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Where the object was."""
+    """The object's path: positions and what is known of their times and of the attitude."""
 
     times_s: Array  # (n,) ascending; all NaN: not known
     positions_m: Array  # (n, 3)
@@ -41,16 +41,16 @@ class Path:
 
     @property
     def has_times(self) -> bool:
-        """Whether it is known when the object was where."""
+        """Whether the times are known."""
         return bool(np.isfinite(self.times_s).all())
 
 
 def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
     """Read a path, TUM or comma-separated.
 
-    Rows are `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
-    names its columns in its first line. SsacError, which names the file, if it is missing, is not
-    of numbers, is not in time order, or has degrees of latitude and longitude.
+    Rows are `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or the first
+    line names the columns. SsacError, which names the file, if it is missing, is not of numbers,
+    is not in time order, or has degrees of latitude and longitude.
     """
     file = pathlib.Path(file)
     check_is_file(file)
@@ -85,7 +85,7 @@ def _stacked(columns: dict[str, Array], names: tuple[str, ...]) -> Array | None:
 
 
 def write_path(file: pathlib.Path | str, path: Path) -> None:
-    """Write a path, comma-separated where the name ends so, else as TUM; it appears complete."""
+    """Write a path, as csv if the name ends in .csv, else as TUM; the file appears complete."""
     file = pathlib.Path(file)
     columns = [path.times_s, *path.positions_m.T]
     if file.suffix.lower() == CSV_SUFFIX:
@@ -104,7 +104,7 @@ def write_path(file: pathlib.Path | str, path: Path) -> None:
 
 
 def _columns(file: pathlib.Path) -> dict[str, Array]:
-    """Give the file's columns (n,) under our names; n > 0, and others are left out."""
+    """Read the known columns (n,), n > 0, of a file by their standard names."""
     try:
         lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except UnicodeDecodeError as error:
@@ -132,7 +132,7 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
 
 
 def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
-    """Give our names of the columns, by the first line or by how many there are."""
+    """Return the columns' standard names, from the first line or from their number."""
     if not is_header:
         by_count = {len(one): [*one] for one in (PATH_COLUMNS[1:], PATH_COLUMNS, _TUM_COLUMNS)}
         if len(row) in by_count:
@@ -170,7 +170,7 @@ def _fault_of_times(times_s: Array) -> str:
 
 
 def _fault_of_metres(positions: Array) -> str:
-    """Say what looks like degrees beside metres of height."""
+    """Describe positions that look like degrees beside metres of height; empty for others."""
     spans = np.ptp(positions, axis=0)
     level = np.abs(positions[:, :2]).max(axis=0)
     is_globe = level.max() <= 180.0 and level.min() > 0.0 and 0.0 < spans[:2].max() < 0.05
