@@ -1,1 +1,1 @@
-"""The one way from recordings to an estimate, for the command line, Python and every study."""
+"""The pipeline from recordings to an estimate; the command line, Python and every study use it."""

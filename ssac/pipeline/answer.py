@@ -1,4 +1,4 @@
-"""What the pipeline says of two cameras: an estimate, how it came about, and what to know of it."""
+"""The pipeline's answer for two cameras: an estimate, its inputs, and notes for the user."""
 
 import sys
 import time
@@ -33,21 +33,21 @@ class Answer:
     """An estimate, what it was made from, and how long it took."""
 
     estimate: Estimate  # offset and pose, or why there are none
-    method: Method  # that gave it
-    cleans: tuple[Clean, Clean]  # both cameras as the method saw them
+    method: Method  # that was chosen
+    cleans: tuple[Clean, Clean]  # both recordings as the method saw them, on their own clocks
     rig: Rig  # as it was given, with the extrinsics where they are known
-    config: Config  # with nothing left open; its interval is the one searched
+    config: Config  # with nothing left open; `interval_s` is the interval searched
     rig_name: str = "the rig"  # for messages: a file's path
-    start: Start | None = None  # of a search over all offsets, if there was one
-    clock: str = ""  # of which kind camera 2's is, where the kind asked for did not fit
-    misfit: str = ""  # what of the rig seems wrong, where its deviations were taken for larger ones
+    start: Start | None = None  # result of a search over all offsets, if there was one
+    clock: str = ""  # kind of camera 2's clock, "fast" or "pieces", where the usual one did not fit
+    misfit: str = ""  # what in the rig seems wrong, where its deviations were enlarged
     distance_m: float | None = None  # between the cameras, where it was stated
-    of_start: str = ""  # why the estimate is that of `method.starts_from`, where it is
+    of_start: str = ""  # why the estimate is that of `method.starts_from`; empty if it is not
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
 
     @property
     def names(self) -> tuple[str, str]:
-        """What to call both cameras: their files, or their numbers."""
+        """Names of both cameras: their files, or else their numbers."""
         one, other = self.cleans
         return one.name or "camera 1", other.name or "camera 2"
 
@@ -58,22 +58,22 @@ class Answer:
 
     @cached_property
     def views(self) -> TwoViews:
-        """Both views as they were recorded, on clocks alike."""
+        """Both views as recorded, paired as if both clocks ran at the same rate."""
         return views_of(*self.cleans, self.rig, self.config)
 
     @cached_property
     def paired(self) -> TwoViews:
-        """Both views as the clock that was found pairs them, at any offset."""
+        """Both views, paired with the skew and strays of the clock found, at any offset."""
         return self.views.under(self.estimate.clock)
 
     @property
     def guess(self) -> Guess | None:
-        """What a search over all offsets found to begin with; None where there was none."""
+        """Best guess of the search over all offsets; None without such a search or a guess."""
         return self.start.guess if self.start is not None and self.start.has_guess else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user of the offset must know beside its status, a sentence each."""
+        """Warnings for a user of the offset beside its status, a sentence each."""
         estimate, said = self.estimate, list[str]()
         for number, camera in enumerate(self.cameras, start=1):
             pu, pv = camera.K[:2, 2]
@@ -142,8 +142,8 @@ class Answer:
 
     @property
     def of_skew(self) -> str:
-        """What the skew's prior says of it; empty where it is an ordinary finding."""
-        if self.guess is not None and self.guess.rate != 1.0:  # found before the prior held
+        """How the skew compares with its prior; empty where that is nothing unusual."""
+        if self.guess is not None and self.guess.rate != 1.0:  # found without the prior
             return ""
         prior_ppm, std_ppm = self.config.prior_ppm, self.estimate.skew_std_ppm
         if abs(self.estimate.skew_ppm) > 3.0 * prior_ppm:
@@ -154,22 +154,22 @@ class Answer:
 
     @property
     def sees_several(self) -> bool:
-        """Whether more than one object was told apart in a camera."""
+        """Whether a camera sees more than one object at a time."""
         return any(one.used.seen > 1 for one in self.cleans)
 
     @property
     def looks_at_one_object(self) -> bool:
-        """Whether the method was given one object of those that the cameras saw."""
+        """Whether one object was chosen for the method from those that the cameras saw."""
         return self.method.of_one_object and self.config.choose_object
 
     def because(self, more: str) -> "Answer":
-        """Add to the reason of a refusal."""
+        """Return the answer with `more` added to the reason of its refusal."""
         reason = f"{self.estimate.reason}; {more}"
         return replace(self, estimate=replace(self.estimate, reason=reason))
 
 
 class Stopwatch:
-    """Measures the parts of a run and logs a line for each that has something to say."""
+    """Measures the time of each part of a run, and logs the lines that the part reports."""
 
     def __init__(self, log: Log = quiet) -> None:
         self.seconds: dict[str, float] = {}
@@ -177,7 +177,7 @@ class Stopwatch:
 
     @contextmanager
     def part(self, name: str) -> Iterator[Log]:
-        """Give a function that takes the part's line of progress; a part may come again."""
+        """Time a part; yield a function that takes its lines of progress. Repeated parts add up."""
         lines: list[str] = []
         start_s = time.perf_counter()
         yield lines.append
@@ -198,7 +198,7 @@ def held_words(seen: Observation, name: str) -> str:
 
 
 def objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
-    """Say how many things the cameras saw, and what is left of them."""
+    """Say how many objects the cameras saw, and what share of the events is used."""
     if refusal is not None:
         return "several, and none told from the others"
     if all(one.used.seen == 1 for one in cleans):
@@ -209,7 +209,7 @@ def objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
 
 
 def in_fifths(log: Log) -> Callable[[float], None]:
-    """Log a line for each fifth of a search that takes long."""
+    """Return a function that logs the progress of a long search, a line for each fifth."""
     start_s, logged = time.perf_counter(), [0.0]
 
     def report(share: float) -> None:

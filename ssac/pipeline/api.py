@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What is found of two cameras; it has all that its `Estimate` has.
+    """The result for two cameras, with all attributes of its `Estimate`.
 
-    `print(result.summary())` says it in words, in a notebook the result shows itself, and
-    `result.answer` has what it was made from.
+    `print(result.summary())` prints it as text, a notebook shows it as a table, and
+    `result.answer` holds what the estimate was made from.
     """
 
     answer: Answer  # the estimate and what it was made from
@@ -49,21 +49,21 @@ class Result:
 
     @property
     def note(self) -> str:
-        """What a user must know beside the status; empty where there is nothing."""
+        """Warnings for the user beside the status; empty if there are none."""
         return self.answer.note
 
     def summary(self) -> str:
-        """Lay it out for people: what `ssac sync` prints."""
+        """Return the result as text for people, as `ssac sync` prints it."""
         return report_text(self.answer)
 
     def to_dict(self) -> dict[str, Any]:
-        """Lay it out for machines: what `ssac sync --json` writes."""
+        """Return the result as a dictionary, as `ssac sync --json` writes it."""
         return report_json(self.answer)
 
     def plot(self, path: Path | str | None = None) -> "Figure | None":
-        """Draw what the estimate allows, one figure below the other; None where that is nothing.
+        """Draw the figures that the estimate allows, one below the other; None if it allows none.
 
-        With a path it is written too: a file (.png, .pdf, .svg), or a folder of one PNG each.
+        With a path, write them too: to a file (.png, .pdf, .svg), or to a folder as one PNG each.
         """
         from ssac.pipeline.plots import page_of
 
@@ -72,15 +72,15 @@ class Result:
         return page_of(self.answer)
 
     def plotted(self, path: Path) -> list[Path]:
-        """Draw as `plot` does, and give the files that were written."""
+        """Write the figures of `plot` to a file or a folder, and return the paths written."""
         from ssac.pipeline.plots import save_figures
 
         return save_figures(path, self.answer)
 
     def report(self, path: Path | str, command: str = "") -> Path:
-        """Write all that is known as an HTML page that needs no other file; give its path.
+        """Write all that is known as an HTML page that needs no other file; return its path.
 
-        The command that led to the result is shown on it, where it is given.
+        The page shows `command`, the command line that led to the result, unless it is empty.
         """
         from ssac.pipeline.html_report import report_page
 
@@ -146,10 +146,10 @@ def sync(
     cam1, cam2
         What each camera recorded: a file of events or of a track, a structured array of events
         with the fields t [us], x, y and p, an `Observation`, or what `load_events` or `load_track`
-        gave. Of more than two cameras: a list of them in place of both, as in
+        returned. For more than two cameras, give a list of them in place of both, as in
         `sync([a, b, c], rig)`.
     rig
-        A rig file (Kalibr's or OpenCV's), a `Rig`, or the `Camera` of each.
+        A rig file (Kalibr's or OpenCV's), a `Rig`, `Cameras`, or a list of one `Camera` each.
     method
         Name of a method; None for the best one that the recordings allow.
     config
@@ -158,29 +158,29 @@ def sync(
     known_extrinsics
         Take the extrinsics of the rig, and find the offset only.
     cameras
-        Numbers of the two in a rig file, from 1 on.
+        Numbers of the two cameras in a rig file, counted from 1.
     focal_std, centre_std_px
-        Deviations of all cameras' focal lengths, as a share of them, and of both coordinates of
-        their principal points [px]: in place of those of the rig, where not None.
+        Standard deviations of all cameras' focal lengths, as a share of them, and of both
+        coordinates of their principal points [px]. None keeps those of the rig.
     estimate_readout
-        Find the readouts of rolling shutters that the rig does not state, of cameras with a track.
+        Estimate the rolling-shutter readout of cameras with a track, where the rig states none.
     reading
-        What may be made of event files that are damaged or unsorted.
+        How to treat event files that are damaged or unsorted.
     known
-        What is known of scale and frame; of two cameras their distance alone.
+        What is known of the scale and the frame; for two cameras only their distance.
     log
         Called with a line of progress after each part.
 
     Returns
     -------
     Result or NetworkResult
-        Of two cameras, or of more. Its estimates say with `status` and `reason` when they are not
-        to be relied upon.
+        The result for two cameras, or for more. The `status` and `reason` of each estimate say
+        when and why it is not reliable.
 
     Raises
     ------
     SsacError
-        If something cannot be used; the message says what came and what to do.
+        If an input cannot be used; the message says what was given and what to do.
     """
     seen: Sequence[Any] = (cam1, cam2)
     if isinstance(cam1, (list, tuple)):
@@ -251,7 +251,7 @@ def sync(
 
 
 def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
-    """Make a chain of what cameras recorded, in all the forms that `sync` takes."""
+    """Make a chain of recordings and their rig, in any form that `sync` takes."""
     models = border.opened_rig(rig, len(cameras))
     return Chain(border.opened(cameras, models), models, config)
 
@@ -259,7 +259,7 @@ def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | Non
 def two_views(
     cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> TwoViews:
-    """Give the object's motion in both views (the paper's Sec. IV-A), and hand on the rig."""
+    """Return the object's motion in both views (the paper's Sec. IV-A), together with the rig."""
     return chain_of((cam1, cam2), rig, config).views()
 
 

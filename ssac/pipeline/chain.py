@@ -1,11 +1,11 @@
-"""The one way from what cameras recorded to an estimate: its stages in their order.
+"""The chain of stages from recordings to an estimate, in their order.
 
     clean x N > one object > views > unusable? > start > search > refinements > pieces if refused
     > camera 2's own clock > rounding > jump if no offset matches > Answer
 
-Each stage is a function of what the ones before it gave, and none calls an earlier one. The command
-line, a Python call, every study and the network come here, so that they say the same. What is
-common to methods, offsets, pairs and parameters is found once.
+Each stage is a function of the results of the stages before it, and calls none of them. The command
+line, a Python call, every study and the network all use this chain, so that their results agree.
+What methods, offsets, pairs and parameters have in common is computed once, and cached.
 """
 
 import sys
@@ -42,19 +42,19 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two cameras under one configuration, as far as the stages have come."""
+    """The state that the stages hand on, of two cameras under one configuration."""
 
     method: Method
     places: tuple[int, int]
     cleans: tuple[Clean, Clean]
-    seen: tuple[Clean, Clean]  # the same on clocks that run alike, as far as a search found that
+    seen: tuple[Clean, Clean]  # the same, without the rate of camera 2's clock that a search found
     rig: Rig  # as the method may see it
     config: Config  # with nothing left open
     start: Start | None = None
 
 
 class Chain:
-    """Methods on what cameras recorded; its only state is what was found once."""
+    """Runs methods on the recordings of a rig; its only state is a cache of results."""
 
     def __init__(
         self,
@@ -63,11 +63,11 @@ class Chain:
         config: Config | None = None,
         log: Log = quiet,
     ) -> None:
-        """Take what two or more cameras recorded, in the order of their rig.
+        """Take the recordings of two or more cameras, in the order of their rig.
 
-        What is read from a file is clean once it is there: its noise is not kept. `log` is called
-        with a line of progress after each part. SsacError if a parameter makes no sense, or there
-        are more or fewer cameras than in the rig.
+        Of two recordings in files, the noise is not kept in memory. `log` is called with a line of
+        progress after each part. SsacError if a parameter makes no sense, or there are more or
+        fewer recordings than cameras in the rig.
         """
         if not isinstance(cameras, Sequence):
             raise SsacError(f"cameras: expected a list of recordings, got {kind_of(cameras)}")
@@ -90,34 +90,34 @@ class Chain:
         return len(self.sources)
 
     def under(self, config: Config | None) -> "Chain":
-        """Give the same recordings under other parameters; they share what these leave alone."""
+        """Return a chain of the same recordings under other parameters, which shares the cache."""
         other = copy(self)
         other.config = validated(config)
         return other
 
     def delayed(self, t_d_s: float) -> "Chain":
-        """As if camera 2's clock, of two, had shown `t_d_s` [s] more; the last delay is kept."""
+        """Return a chain of two cameras as if camera 2's clock had shown `t_d_s` [s] more."""
         if t_d_s == 0.0:
             return self
         at_s, kept = self._kept.get("delayed", (None, {}))
         if at_s != t_d_s:
             kept = {}
-            self._kept["delayed"] = t_d_s, kept
+            self._kept["delayed"] = t_d_s, kept  # of the last delay only
         other = copy(self)
         other._undelayed, other._kept = (self, t_d_s), kept
         return other
 
     def name(self, k: int) -> str:
-        """Name a camera, from 0 on: its file, or its number."""
+        """Return the name of camera k, counted from 0: its file, or else its number from 1."""
         return self.sources[k].name or f"camera {k + 1}"
 
     def clean(self, k: int) -> Clean:
-        """Give what a camera recorded, checked and without noise if the config asks for that."""
+        """Return camera k's recording, checked, and denoised if the config asks for it."""
         how = self.config.cleaning
         return self._once(("clean", k, how), lambda: self._clean(k))
 
     def recorded(self, k: int, frames: str = "") -> Observation:
-        """Give what a camera recorded as it is, with frames if they are asked for."""
+        """Return camera k's recording as it is, with intensity frames if they are asked for."""
         if self._undelayed is not None:
             chain, t_d_s = self._undelayed
             seen = chain.recorded(k, frames)
@@ -130,10 +130,10 @@ class Chain:
 
         if frames or len(self) == 2:
             return read()
-        return self._once(("recorded", k), read)  # again for its silhouettes
+        return self._once(("recorded", k), read)  # for the network's silhouettes too
 
     def views(self, i: int = 0, j: int = 1) -> TwoViews:
-        """Give both views of all that two cameras saw, and their rig as it was given."""
+        """Return both views of two whole recordings, no object chosen, with their rig as given."""
         config = self.config.resolved(self._has_track(i, j))
         rig = self.rig.pair(i, j)
         return replace(self._views((self.clean(i), self.clean(j)), rig.unposed, config), rig=rig)
@@ -155,11 +155,11 @@ class Chain:
         return self.answer(method, i, j).estimate
 
     def answer(self, method: str | Method | None = None, i: int = 0, j: int = 1) -> Answer:
-        """Find offset and pose of two cameras, i and j from 0 on, in all the steps that this takes.
+        """Find the offset and pose of two cameras, i < j counted from 0, by all stages.
 
         The method is one of the registry, or its name; None for the best one that both allow. The
-        estimate says with `status` and `reason` when it is not to be relied upon. SsacError if what
-        the cameras recorded cannot be used, or the method lacks something to run.
+        estimate's `status` and `reason` say when and why it is not reliable. SsacError if a
+        recording cannot be used, or the method lacks an input that it needs.
         """
         if not 0 <= i < j < len(self):
             raise SsacError(f"cameras {i} and {j}: there are {len(self)}, numbered from 0 on")
@@ -177,7 +177,7 @@ class Chain:
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 
     def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
-        """Answer as asked; or, where that gives nothing, as what is seen may be seen otherwise."""
+        """Answer as asked; where the status is not OK, try the other explanations of `retries`."""
         answer = self._asked(method, places, config)
         if answer.estimate.status == Status.OK or method.input is not Input.TRACKS:
             return answer
@@ -202,7 +202,7 @@ class Chain:
         return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
 
     def _jumped(self, answer: Answer, config: Config) -> Estimate:
-        """Give the estimate; refused as camera 2's clock jumps, if that is why it is refused."""
+        """Return the estimate, refused for a clock jump where a large jump explains its refusal."""
         estimate = answer.estimate
         if estimate.status not in SETTLED_BY["jump"]:
             return estimate
@@ -210,7 +210,7 @@ class Chain:
         return estimate if jump is None else jumped(estimate, jump)
 
     def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
-        """Answer with the tracks of a faint object, where these say more than its windows."""
+        """Answer from the tracks of a faint object; if that fails, keep or explain the refusal."""
         key = self.config.cleaning, self.config.rules.retry
         both = [self._once(("followed", k, *key), partial(self._followed, k)) for k in places]
         refusals = [refusal for _, refusal in both if refusal is not None]
@@ -228,7 +228,7 @@ class Chain:
         return found if found.estimate.status == Status.OK else answer
 
     def _followed(self, k: int) -> tuple[Clean | None, Refusal | None]:
-        """Follow a faint object in one camera's events; or say that noise hides it."""
+        """Track a faint object in one camera's events, with a refusal where noise hides it."""
         rules, cleaned = self.config.rules, self.clean(k)
         with self.watch.part("follow"):
             seen = self.recorded(k)
@@ -242,7 +242,7 @@ class Chain:
         config: Config,
         cleans: tuple[Clean, Clean] | None = None,
     ) -> Answer:
-        """Search the offsets that are asked for; all, where that is open and they give nothing."""
+        """Search the offsets asked for; if none were and the default interval fails, search all."""
         rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
         cleans = cleans or (self._given(method, places[0]), self._given(method, places[1]))
         pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
@@ -272,7 +272,7 @@ class Chain:
         return self._hinted(pair, answer, tries_all)
 
     def _hinted(self, pair: _Pair, answer: Answer, tries_all: bool) -> Answer:
-        """Say of a rig that seems wrong which usual mistake explains all."""
+        """Add the usual mistake in a rig to the answer's reason, where mending it explains all."""
         if answer.estimate.has_offset and not answer.misfit:
             return answer
         mistake = retries.usual_mistake(pair.rig, answer.cleans, answer.estimate)
@@ -286,7 +286,7 @@ class Chain:
         return answer
 
     def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
-        """Answer with the one object that all cameras saw, for methods that look at one."""
+        """Answer from the one object that all cameras saw, if the method looks at one object."""
         method, config = pair.method, pair.config
         if method.of_one_object and config.choose_object and method.input is not Input.FRAMES:
             cleans, refusal = self._one_object(pair.places, None if tries_all else config.offsets_s)
@@ -298,12 +298,12 @@ class Chain:
         return self._compared(pair, tries_all)
 
     def _compared(self, pair: _Pair, tries_all: bool) -> Answer:
-        """Search offsets of what two cameras saw of one object, and refine the best."""
+        """Search the offsets between two views of one object, and refine the best one."""
         cleans, config = pair.cleans, pair.config
         views = self._views(cleans, pair.rig.unposed, config)
         refusal = unusable(views, cleans, None if tries_all else config.offsets_s)
         if refusal is None and tries_all and views.alone.are_straight:
-            # Any F fits at any offset: only the speed along the line tells it.
+            # For straight paths some F fits at any offset: only the speed along them tells it.
             pair = replace(pair, config=replace(config, interval_s=overlapping(cleans)))
         elif refusal is None and tries_all:
             start = self._start(pair, views)
@@ -312,13 +312,13 @@ class Chain:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
                 near = start.config(config)
-                if not self._searches_all(*cleans):  # nobody asked for all: as much must be seen
+                if not self._searches_all(*cleans):  # a retry: as many swings must be seen
                     near = replace(near, min_swings=config.min_swings)
                 pair = replace(pair, seen=(cleans[0], other), config=near)
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
     def _refined(self, pair: _Pair) -> Answer:
-        """Run the method, with other clocks where its own fits ill, and with a less certain rig."""
+        """Run the method; where it fits poorly, also with other clocks and a less certain rig."""
         found, clock, misfit = self._run(pair), "", ""
         of_track = self._has_track(*pair.places)
         for name, config in retries.other_clocks(self.config, pair.config, of_track, found):
@@ -339,7 +339,7 @@ class Chain:
         return replace(answer, clock=clock, misfit=misfit, of_start=of_start)
 
     def _run(self, pair: _Pair) -> Estimate:
-        """Run a method, after those that it starts from, and put it on camera 2's own clock."""
+        """Run a method, after those it starts from; put the estimate on camera 2's own clock."""
         with self.watch.part("estimate") as say:
             estimate = self._by(pair.method, pair)
             wanders = pair.config.clock == retries.WANDERING
@@ -347,7 +347,7 @@ class Chain:
         return estimate if pair.start is None else pair.start.as_recorded(estimate)
 
     def _by(self, method: Method, pair: _Pair) -> Estimate:
-        """Give the estimate of a method of two cameras; each is found once."""
+        """Return the estimate of a method for two cameras, from the cache if it is there."""
         config = pair.config
         if method.input is Input.TRACKS and not method.starts_from and method.runs:
             config = config.searching
@@ -360,7 +360,7 @@ class Chain:
         if method.input is not Input.TRACKS:
             return method.function(*pair.seen, pair.config)
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
-        views = replace(views, rig=pair.rig.unposed)  # which may be less certain
+        views = replace(views, rig=pair.rig.unposed)  # its intrinsics may be less certain
         if len(self) > 2:  # a network follows a body in all of its cameras together
             views = replace(views, cleans=None)
         if method.needs_extrinsics:
@@ -370,14 +370,14 @@ class Chain:
         return method.function(self._by(choose_method(method.starts_from), pair), views)
 
     def _answer(self, pair: _Pair, estimate: Estimate) -> Answer:
-        """Put an estimate into an answer, less sure where the recorders rounded times."""
+        """Make an answer of an estimate, with a wider deviation where times were rounded."""
         quanta_s = quantum_s(pair.cleans[0]), quantum_s(pair.cleans[1])
         rig, seconds = self.rig.pair(*pair.places), dict(self.watch.seconds)
         made_from = pair.method, pair.cleans, rig, pair.config, self.rig.name, pair.start
         return Answer(less_sure(estimate, quanta_s), *made_from, seconds=seconds)
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
-        """Answer with the reason why a stage before the method gives nothing."""
+        """Make an answer of the refusal of a stage before the method."""
         estimate = Estimate(
             pair.method.name,
             refusal.status,
@@ -391,7 +391,7 @@ class Chain:
         return self._answer(pair, estimate)
 
     def _given(self, method: Method, k: int) -> Clean:
-        """Give what a method sees of a camera; one of frames does not look at its events."""
+        """Return a camera's recording for a method: cleaned, unless the method takes frames."""
         if method.input is not Input.FRAMES:
             return self.clean(k)
         seen, camera = self._framed(k, method), self.rig.cameras[k]
@@ -414,7 +414,7 @@ class Chain:
             found = clean(seen, self.rig.cameras[k], how, name)
             if found.clutter is not None:
                 say(f"{name}: {len(found.events)} of {found.n_recorded} events left")
-        # What a file has need not be kept.
+        # The events of a file can be read again, and need not be kept.
         return replace(found, recorded=lambda: self.recorded(k).events)
 
     def _framed(self, k: int, method: Method) -> Observation:
@@ -431,7 +431,7 @@ class Chain:
     def _one_object(
         self, places: tuple[int, int], interval_s: Interval | None
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
-        """Give two cameras with the events of the one object that is chosen for the whole rig."""
+        """Return two recordings of the one object that is chosen for the whole rig, or refuse."""
         config, cleans = self.config, [self.clean(k) for k in range(len(self))]
         if any(self._searches_all(*two) for two in combinations(cleans, 2)):
             interval_s = None
@@ -465,7 +465,7 @@ class Chain:
         return has_track or not has_common_time((one, other), config.offsets_s)
 
     def _start(self, pair: _Pair, views: TwoViews) -> Start:
-        """Search all offsets; of a track at any rate, where none fits at about the other's."""
+        """Search all offsets; of tracks also other rates, if none fits where clocks run alike."""
 
         def found(rates: Interval | None) -> Start:
             with self.watch.part("search") as say:
@@ -479,7 +479,7 @@ class Chain:
                 start.refusal is None
                 or rates is not None
                 or not self._has_track(*pair.places)
-                or views.alone.repeats  # which tells a rate as little as an offset
+                or views.alone.repeats  # a repeated path tells no rate either
             ):
                 return start
             other = found(pair.config.rules.retry.any_rate)
@@ -493,7 +493,7 @@ class Chain:
         return views if views.config == config else replace(views, config=config)
 
     def _once(self, key: Hashable, make: Callable[[], Found], of: object = None) -> Found:
-        """Find something once; what its key names by `id` is kept with it."""
+        """Return the cached value of a key, or make it; `of` keeps what the key names by `id`."""
         if key not in self._kept:
             self._kept[key] = make(), of
         found: Found = self._kept[key][0]
@@ -504,7 +504,7 @@ class Chain:
 
 
 def _key_of(rig: Rig) -> Hashable:
-    """Tell rigs of the same cameras apart."""
+    """Return a cache key that tells rigs of the same cameras apart."""
     pose = None if rig.T_2_1 is None else rig.T_2_1.tobytes()
     return rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px, pose
 
@@ -514,13 +514,13 @@ def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:
 
 
 def one_thread() -> AbstractContextManager[Any]:
-    """Keep BLAS from threads: matrices are so small that these only wait."""
+    """Limit BLAS to one thread: the matrices are so small that more threads only wait."""
     limited: AbstractContextManager[Any] = _blas("scipy.linalg" in sys.modules).limit(limits=1)
     return limited
 
 
 @cache
 def _blas(has_scipy: bool) -> ThreadpoolController:
-    """Find BLAS's threads, which takes milliseconds; anew when SciPy has brought one of its own."""
+    """Find the BLAS libraries, which takes milliseconds; again once SciPy has loaded its own."""
     del has_scipy
     return ThreadpoolController()

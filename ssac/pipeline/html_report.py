@@ -1,7 +1,7 @@
 """All that is known of a user's recording, on one HTML page that needs no other file.
 
-It is the same for what was answered and for what was refused: a page on a refused recording shows
-why. Nothing here decides anything; all numbers come from the answers.
+The page has the same layout for an estimate and for a refusal: on a refused recording it shows why.
+Nothing here decides anything; all numbers come from the answers.
 """
 
 import json
@@ -28,10 +28,10 @@ from ssac.pipeline.streams import Seen, as_recorded, scene_of_network, scene_of_
 from ssac.track.motion import ObjectMotion
 
 Answers = Mapping[Pair, Answer]
-Card = tuple[str, str, str]  # a name, a value, and how sure it is
+Card = tuple[str, str, str]  # a name, a value, and its accuracy
 
 _PACKAGES = "ssac-suite", "numpy", "scipy", "numba", "opencv-python-headless"
-_MOST_DOTS = 1000  # in a chart of a pair's; fewer where there are many pairs
+_MOST_DOTS = 1000  # in a chart of a pair; fewer where there are many pairs
 _NUMBERS = {"fu": (0, 0), "fv": (1, 1), "pu": (0, 2), "pv": (1, 2)}
 
 
@@ -42,10 +42,10 @@ def report_page(
     command: str = "",
     unit: str = "",
 ) -> str:
-    """Lay out the page on two cameras, or on all pairs of more and their network, in its unit.
+    """Return the page on two cameras, or on all pairs of more cameras and their network.
 
-    The summary is what is printed, and the command what was called; empty: from Python. The same
-    input gives the same bytes.
+    `summary` has the rows that are printed, `command` is the command line (empty: a Python call),
+    and `unit` is the network's unit of length. The same input gives the same bytes.
     """
     cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
@@ -85,7 +85,7 @@ def report_page(
 
 
 def environment(*loaders: BaseLoader) -> Environment:
-    """Make the environment of this page's templates, for pages of others too, which have more."""
+    """Make the template environment of this page; `loaders` add templates of other pages."""
     made = Environment(
         loader=ChoiceLoader([*loaders, PackageLoader("ssac.pipeline", "page")]),
         autoescape=True,
@@ -104,7 +104,7 @@ def environment(*loaders: BaseLoader) -> Environment:
 
 
 def script_json(content: Any) -> str:
-    """Lay out as JSON that is safe inside a script element."""
+    """Return content as JSON text that is safe inside a script element."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 
@@ -112,7 +112,7 @@ def script_json(content: Any) -> str:
 def player_of(
     answers: Answers, cameras: list[Seen], network: NetworkAnswer | None = None, tour: bool = False
 ) -> dict[str, Any]:
-    """Lay out what the player and the scene draw; with a tour the player starts by itself."""
+    """Return what the player and the scene draw; with a tour the player starts by itself."""
     scene = scene_of_two(answers[0, 1]) if network is None else scene_of_network(network)
     drawn = streams(answers, cameras)
     holds = [pair["holds"] for pair in drawn["pairs"]]
@@ -150,7 +150,7 @@ def _title(answers: Answers, network: NetworkAnswer | None) -> str:
 
 
 def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
-    """Say how it went: a word, a kind for the eye, why, and what to do."""
+    """Return the status as a word, its kind for display, its meaning, reason, remedy and notes."""
     estimate, notes = answers[0, 1].estimate, answers[0, 1].notes
     status, reason, has_some = estimate.status, estimate.reason, estimate.has_offset
     ours = {str(one): one for one in Status}.get(status)  # another's method may have its own word
@@ -179,7 +179,7 @@ def _kind(status: str, has_some: bool) -> str:
 
 
 def _cards(answer: Answer) -> list[Card]:
-    """Give what was found in large print: a name, a value, and how sure it is."""
+    """Return the cards of the main results for two cameras."""
     estimate, R, t = answer.estimate, answer.estimate.R, answer.estimate.t
     if not estimate.has_offset:
         if not np.isfinite(estimate.t_d_s):
@@ -225,7 +225,7 @@ def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
 
 
 def _cards_of_many(network: NetworkAnswer, unit: str) -> list[Card]:
-    """Give the offset and the place of each camera but the first of its group."""
+    """Return a card with the offset and position of each camera but the first of its group."""
     cards = list[Card]()
     for k, one in enumerate(network.cameras):
         if one.centre is None or one.centre_covariance is None or not one.t_d_std_s > 0.0:
@@ -248,7 +248,7 @@ def _offset_card(name: str, t_d_s: float, std_s: float, t_ref_s: float, first: i
 
 
 def _around(stds: Array, digits: int) -> str:
-    """Write half of the 95 % intervals of some numbers."""
+    """Write the half-widths of the 95 % intervals of numbers with these deviations (n,)."""
     return f"95 % within \N{PLUS-MINUS SIGN}{vector(NORMAL_95 * stds, digits)}"
 
 
@@ -277,7 +277,7 @@ def _offset_words(estimate: Estimate) -> str:
 
 
 def _intrinsics(answer: Answer) -> list[dict[str, Any]]:
-    """Compare the intrinsics that were fitted with the rig's, in deviations of the rig's."""
+    """Compare the fitted intrinsics with the rig's, in standard deviations of the rig's."""
     rows = list[dict[str, Any]]()
     for k, K in enumerate(answer.estimate.Ks or ()):
         stds_px = zip(_NUMBERS.items(), answer.cameras[k].intrinsics_std_px, strict=True)
@@ -298,7 +298,7 @@ def _intrinsics(answer: Answer) -> list[dict[str, Any]]:
 
 
 def _graph(answers: Answers, network: NetworkAnswer) -> dict[str, Any]:
-    """Lay out the cameras on a circle, and what their pairs say of each other."""
+    """Return the graph of the network: cameras on a circle, pairs as edges, closure errors."""
     angles = 2.0 * np.pi * np.arange(len(network.cameras)) / len(network.cameras)
     places = np.column_stack([180.0 + 120.0 * np.sin(angles), 135.0 - 95.0 * np.cos(angles)])
     edges = [

@@ -1,4 +1,4 @@
-"""Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
+"""Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,16 +34,16 @@ from ssac.track.moments import LEAST_VIEWS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NetworkResult:
-    """What is found of many cameras, what it was made from, and how long it took."""
+    """The result for many cameras, what it was made from, and how long it took."""
 
     names: tuple[str, ...]  # of the recordings, in the order of the rig's cameras
     rig_name: str  # for messages: a file's path
     network: NetworkAnswer  # clocks and poses of all cameras, and the object's path
-    pairs: dict[Pair, Answer]  # of two cameras each, by their numbers from 0 on
-    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras placed
+    pairs: dict[Pair, Answer]  # answers for two cameras each, by their numbers from 0 on
+    scale_is_known: bool  # lengths in metres; False: in distances of the first two placed
     ground: Ground | None  # the frame of cameras and path; None: the first camera's
     seconds: dict[str, float]  # by part, in the order they ran
-    note: str = ""  # what of the call could not be used
+    note: str = ""  # which argument of the call could not be used
 
     @property
     def status(self) -> Status:
@@ -61,11 +61,11 @@ class NetworkResult:
         return list(self.network.cameras)
 
     def summary(self) -> str:
-        """Lay it out for people: what `ssac sync` prints."""
+        """Return the result as text for people, as `ssac sync` prints it."""
         return text_of(self.rows())
 
     def rows(self) -> Rows:
-        """Lay it out for people, in rows that nothing has folded."""
+        """Return the result as rows for people, whose long values are not yet folded."""
         answer, rows = self.network, list[tuple[str, str]]()
         if answer.reason:
             rows.append(("incomplete", answer.reason))
@@ -75,7 +75,7 @@ class NetworkResult:
             rows.append(("frame", self.ground.said))
         for camera in answer.cameras:
             rows += _camera_rows(camera, " m" if self.scale_is_known else "")
-        notes = dict[str, list[str]]()  # each with the pairs that it is said of
+        notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
                 notes.setdefault(note, []).append(f"{a + 1}-{b + 1}")
@@ -93,7 +93,7 @@ class NetworkResult:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """Lay it out for machines, None for what is missing: what `ssac sync --json` writes."""
+        """Return the result as `ssac sync --json` writes it, None for what is missing."""
         answer = self.network
         return {
             "status": str(answer.status),
@@ -169,10 +169,10 @@ class NetworkResult:
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
-    """Synchronise and calibrate many cameras, and find the path that they saw.
+    """Synchronise and calibrate many cameras, and find the path of the object.
 
-    `method` is for each pair; None for the best one that it allows. SsacError if a recording cannot
-    be used, or contradicts what is known.
+    `method` is used for each pair; None takes the best one that the pair allows. SsacError if a
+    recording cannot be used, or contradicts what is known.
     """
     watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
     for a, b in combinations(range(len(chain)), 2):
@@ -199,7 +199,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
 def solve_pairs(
     chain: Chain, pairs: dict[Pair, Answer], distance_m: float | None = None
 ) -> NetworkAnswer:
-    """Solve two cameras or more, `distance_m` between the first two; None: the unit of lengths."""
+    """Solve a chain's network; `distance_m` is between the first two; None: the unit of length."""
     seen = []
     for k, name in enumerate(short_names([chain.name(k) for k in range(len(chain))])):
         with chain.watch.part("follow") as say:
@@ -219,7 +219,7 @@ def solve_pairs(
 def grounded(
     answer: NetworkAnswer, known: Known, rules: GroundRules
 ) -> tuple[NetworkAnswer, Ground | None]:
-    """Put an answer into the frame that is known, where one is and there is a network at all."""
+    """Transform an answer to the known frame, if one is known and there is any network."""
     if not answer.built:
         return answer, None
     if known.positions is not None:
@@ -234,7 +234,7 @@ def grounded(
 def write_two(
     answer: Answer, known: Known, trajectory: Path | None, rig: Path | None, log: Log
 ) -> None:
-    """Write the path that two cameras saw, and the rig with the pose found; say so, or why not."""
+    """Write the object's path, and the rig with the pose found; log the files, or why not."""
     estimate, distance_m = answer.estimate, _distance_m(answer)
     if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
         for file in filter(None, (trajectory, rig)):
@@ -253,7 +253,7 @@ def write_two(
 
 
 def _distance_m(answer: Answer) -> float | None:
-    """Give the distance of two cameras where it was stated, or is that of a rig in metres."""
+    """Return the distance [m] of two cameras, as stated or by a rig in metres; else None."""
     T_2_1 = answer.rig.T_2_1 if answer.method.needs_extrinsics and answer.rig.in_metres else None
     if answer.distance_m is None and T_2_1 is not None:
         return float(np.linalg.norm(T_2_1[:3, 3]))
@@ -316,7 +316,7 @@ def _clock(camera: CameraAnswer) -> Clock:
 
 
 def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:
-    """Write what was asked for, and say so."""
+    """Write the files that were asked for, and log them."""
     if trajectory is not None:
         _write_paths(trajectory, result.network, result.scale_is_known, log)
     if rig is not None:
@@ -324,7 +324,7 @@ def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None,
 
 
 def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
-    """Write the path of the first group, and say so; that of another group beside it."""
+    """Write and log the path of the first group; those of others go to numbered files beside it."""
     for k, found in enumerate(answer.paths):
         other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
         write_path(other, found.path)
@@ -336,7 +336,7 @@ def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Give of each path's end, without an extension, as much as tells them all apart."""
+    """Return the shortest ends of all paths, without extensions, that differ from each other."""
     parts = [(*Path(name).parent.parts, Path(name).stem) for name in names]
     for n in range(1, max(map(len, parts)) + 1):
         ends = ["/".join(one[-n:]) for one in parts]
@@ -346,13 +346,13 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Sightings:
-    """Say where a camera saw the object; nowhere, of one whose events show none."""
+    """Return a camera's sightings of the object; none where its events show no object."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
     rules = chain.config.rules.points
     if clean.track is not None:
         return sightings(clean.track, clean.camera, name, clean.has_track, rules)
     try:
-        if len(chain) < LEAST_VIEWS:  # to tell what perspective does to silhouettes
+        if len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
             shaped = ShapedTrack(track_of_events(clean, chain.config), None)
         else:
             events = chain.recorded(k).events
@@ -367,7 +367,7 @@ _NUMBERS = (
     "t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm", "readout_s", "readout_std_s",
     "R", "t", "r_std_deg", "t_std",
 )  # fmt: skip
-"""Of a camera, as its answer names them."""
+"""Fields of `CameraAnswer` that the JSON output has under the same names."""
 
 
 def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""What users give as cameras and rigs: files, arrays, tracks, and what is known of the scale.
+"""Opens what users give as recordings and rigs: files, arrays, tracks, and the known scale.
 
-The messages here name files; what is wrong with a recording itself is said where it is cleaned.
+The messages here name files; faults of a recording itself are reported where it is cleaned.
 """
 
 import difflib
@@ -40,17 +40,17 @@ _ARGUMENTS = (
     "method", "config", "known_extrinsics", "cameras", "focal_std", "centre_std_px",
     "estimate_readout", "reading", "known", "log",
 )  # fmt: skip
-"""Of `sync`, beside the fields of a config."""
+"""Arguments of `sync` by name, besides the fields of a config."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the scale and the frame: one of these at most."""
+    """What is known of the scale and the frame: at most one of distance, positions and RTK."""
 
     distance_m: float | None = None  # between the first two cameras
-    positions: Path | None = None  # of the cameras
-    rtk: Path | None = None  # the object's own path, on a clock of its own
-    lever_arm_m: tuple[float, float, float] | None = None  # where RTK's antenna is in the body
+    positions: Path | None = None  # file of the cameras' positions
+    rtk: Path | None = None  # file of the object's own path, on a clock of its own
+    lever_arm_m: tuple[float, float, float] | None = None  # of the RTK antenna in the body
 
     def __post_init__(self) -> None:
         if self.distance_m is not None and not (
@@ -67,12 +67,12 @@ class Known:
 NOTHING = Known()
 
 MEANS, IMAGES = "means", "images"
-"""What a method takes of intensity frames: one number each, or all of them."""
+"""What a method takes of each intensity frame: its mean, or all of its pixels."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A file of one camera, which is read when its turn comes."""
+    """A file with one camera's recording, which is read only when it is needed."""
 
     path: Path
     camera: Camera
@@ -81,7 +81,7 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """Its path."""
+        """The file's path."""
         return str(self.path)
 
     @cached_property
@@ -90,7 +90,7 @@ class Recording:
         return is_track_file(self.path)
 
     def read(self, frames: str = "") -> Observation:
-        """Read it, with MEANS or IMAGES where the file has them, and check it."""
+        """Read and check the file, with MEANS or IMAGES of its frames where it has any."""
         what = f"{self.path} with {self.camera_name}"
         if self.has_track:
             track = load_track(self.path)
@@ -113,7 +113,7 @@ class Recording:
         from ssac.files.hdf5 import load_frames
         from ssac.methods.correlations import frame_means
 
-        def pixels(images: NDArray[np.uint8]) -> Array:  # of one pixel each
+        def pixels(images: NDArray[np.uint8]) -> Array:  # as images of one pixel
             return frame_means(images)[:, None, None]
 
         found = load_frames(self.path, pixels if frames == MEANS else None)
@@ -124,11 +124,11 @@ class Recording:
 
 
 Source = Observation | Recording
-"""What one camera recorded: it is there, or a file that gives it when it is read."""
+"""One camera's recording: in memory, or in a file that is read when it is needed."""
 
 
 def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) -> Cameras:
-    """Open a rig of n cameras, in any form; or two of a file's, by their numbers from 1 on."""
+    """Open a rig of n cameras in any form; `numbers` (from 1) select two cameras of a file."""
     if numbers is not None and not (
         isinstance(numbers, (tuple, list))
         and len(numbers) == 2
@@ -162,7 +162,7 @@ def opened(
     numbers: Sequence[int] | None = None,
     reading: Reading = STRICT,
 ) -> tuple[Source, ...]:
-    """Open what each camera recorded, without reading files; by its number in the rig file."""
+    """Open each camera's recording, without reading files; `numbers` are those in the rig."""
     numbers = numbers or range(1, len(seen) + 1)
     for (a, one), (b, other) in combinations(zip(numbers, seen, strict=True), 2):
         if a == b:
@@ -170,7 +170,7 @@ def opened(
         if _same_file(one, other):
             what = one if isinstance(one, (str, Path)) else "one recording"
             if isinstance(one, (str, Path)) and bag_of(Path(one)) is not None:
-                topic_of(Path(one))  # of several it says which there are
+                topic_of(Path(one))  # of several topics, it raises an error that lists them
             whose = "both cameras" if len(seen) == 2 else f"cameras {a} and {b}"
             raise SsacError(f"{what}: given for {whose}: give each camera's own file")
     return tuple(
@@ -180,7 +180,7 @@ def opened(
 
 
 def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Cameras:
-    """Give a rig of any form as cameras, which are checked."""
+    """Convert a rig of any form to `Cameras`, and check them."""
     if isinstance(rig, Rig):
         rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,), in_metres=rig.in_metres)
     elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
@@ -192,13 +192,13 @@ def cameras_of(rig: object, forms: str = "a ssac.Rig or ssac.Cameras") -> Camera
 
 
 def kind_of(value: object) -> str:
-    """Name what came in the place of something else."""
+    """Name the type of an unexpected value, with the value itself where it is short."""
     text = repr(value)
     return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
 
 
 def check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
-    """Refuse two cameras that gave what one saw: without a baseline all fits."""
+    """Raise SsacError if two cameras hold the same points: without a baseline anything fits."""
     if one.track is not None and other.track is not None:
         same = np.array_equal(one.track.points_px, other.track.points_px)
     else:
@@ -213,7 +213,7 @@ def check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
 
 
 def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
-    """Give a config with some fields replaced; SsacError for one that it does not have."""
+    """Return a config with some fields replaced; SsacError for an unknown field."""
     config = Config() if config is None else config
     if not isinstance(config, Config):
         raise SsacError(f"config: expected a ssac.Config, got {kind_of(config)}")
@@ -231,7 +231,7 @@ def _opened(
 ) -> Source:
     if isinstance(seen, (str, Path)):
         path = Path(seen)
-        if bag_of(path) is None and not path.is_dir():  # which the reader says
+        if bag_of(path) is None and not path.is_dir():  # bags and folders are checked by the reader
             check_is_file(path)
         return Recording(path, camera, f"camera {number} of {rig_name}", reading)
     if isinstance(seen, Observation):
@@ -250,7 +250,7 @@ def _opened(
 
 
 def _of_file(file: EventFile, camera: Camera, camera_name: str, name: str) -> Observation:
-    """Check the events of a file against a camera."""
+    """Return the events of a file as an observation, checked against a camera."""
     seen = Observation(file.events, name=name)
     check_seen(seen, name)
     check_resolution(camera, file.width, file.height, camera_name, name)

@@ -1,4 +1,4 @@
-"""Charts of what two cameras' answer rests on: cost, residuals, samples, and the clock's drift.
+"""Charts of the evidence for two cameras' answer: cost, residuals, samples and clock drift.
 
 Matplotlib draws them as SVG, with colours that follow the reader's theme.
 """
@@ -36,7 +36,7 @@ from ssac.pipeline.streams import Grid, Seen, densities, grid_of
 from ssac.track.motion import ObjectMotion
 
 _INK, _FAINT = "#1d232b", "#c9ccd1"
-_ON_PAGE = {  # what stands for a colour on light and on dark ground
+_ON_PAGE = {  # colours that replace one on a light and a dark background
     BLUE: ("#2464b0", "#5fa8ee"),
     YELLOW: ("#b0620f", "#f0a63c"),
     RED: ("#c2185b", "#ff5c93"),
@@ -50,25 +50,25 @@ _STYLE = {
     "grid.color": _FAINT,
     "grid.linewidth": 0.5,
     "legend.frameon": False,
-    "path.simplify": False,  # which takes dots away
+    "path.simplify": False,  # simplification removes dots
     "svg.fonttype": "none",
-    "svg.hashsalt": "ssac",  # the same chart is the same text
+    "svg.hashsalt": "ssac",  # the same chart gives the same text
     **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.color", "ytick.color"), _INK),
 }
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A picture, and what it says in words."""
+    """A chart, with a title and a description."""
 
     title: str
-    words: str  # what is to be seen
-    svg: str  # in a URL's alphabet
+    words: str  # the description
+    svg: str  # percent-encoded, for a URL
     is_wide: bool
 
 
 def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
-    """Draw all that an answer allows, by what it is of, with so many dots in a chart at most."""
+    """Draw the charts that an answer allows, by topic, with at most `most` dots in each."""
     fit = fit_of(answer)
     return {
         "cost": _cost_charts(answer, fit),
@@ -81,7 +81,7 @@ def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
 def _chart(
     charts: list[Chart], title: str, words: str, width_in: float = 4.0, height_in: float = 2.0
 ) -> Iterator[Axes]:
-    """Give axes of a size, and put what is drawn on them among the charts."""
+    """Yield axes of a size [in], and append what is drawn on them to `charts`."""
     left_in, below_in, around_in = 0.75, 0.7, 0.1
     whole_in = left_in + width_in + around_in, below_in + height_in + around_in
     box = left_in / whole_in[0], below_in / whole_in[1]
@@ -108,7 +108,7 @@ def _chart(
 
 
 def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") -> None:
-    """Draw points (n, 2) as strokes without a length, which take a tenth of a marker's text."""
+    """Draw points (n, 2) as strokes of no length, whose SVG is a tenth as long as markers'."""
     places = np.repeat(points, 3, axis=0)
     places[2::3] = np.nan
     axes.plot(*places.T, color=color, lw=size, solid_capstyle="round", label=name or "_")
@@ -139,7 +139,7 @@ def _cost_charts(answer: Answer, fit: Fit | None) -> list[Chart]:
 
 
 def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
-    """Draw what is left of the pairs over time, as a histogram, and over both images."""
+    """Draw the residuals of the pairs over time, as a histogram, and over both images."""
     off_px, charts = fit.distances_px, list[Chart]()
     sigma_px = max(robust_deviation(off_px), 1e-12)
     thin = slice(None, None, 1 + len(off_px) // most)
@@ -240,7 +240,7 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
 
 @contextmanager
 def _image_chart(charts: list[Chart], title: str, words: str, camera: Camera) -> Iterator[Axes]:
-    """Give axes of what a camera sees, its lens taken out."""
+    """Yield axes over a camera's undistorted field of view."""
     grid: Grid = grid_of(camera)
     with _chart(charts, title, words, height_in=4.0 * grid.rows / grid.columns) as axes:
         right_px = grid.left_px + grid.cell_px * grid.columns
@@ -251,7 +251,7 @@ def _image_chart(charts: list[Chart], title: str, words: str, camera: Camera) ->
 
 
 def _clock_charts(answer: Answer) -> list[Chart]:
-    """Draw how camera 2's clock drifts; nothing where it was taken to run as camera 1's."""
+    """Draw the drift of camera 2's clock; nothing where both clocks were taken to run alike."""
     estimate, charts = answer.estimate, list[Chart]()
     if not (estimate.has_offset and np.isfinite(estimate.skew_ppm)):
         return []

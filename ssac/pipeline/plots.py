@@ -1,4 +1,4 @@
-"""Pictures of an estimate, over the events that it was made from.
+"""Figures of an estimate, over the events that it was made from.
 
     search      d_avg over the search interval and near its minimum, as the paper's Fig. 5
     epipolar    p1, p2, the line l1 and the distance d, as the paper's Fig. 4, before and after
@@ -46,7 +46,7 @@ POLARITIES = Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="dar
 ZOOM_S = 0.003  # half the width of the zoom around the minimum, as in the paper's Fig. 5
 
 _WIDTH_IN, _DPI = 9.0, 150
-_TRUTH = "0.75"  # of a wide path, beneath the estimate's
+_TRUTH = "0.75"  # grey of the reference path, a wide line beneath the estimate
 _POINT: dict[str, Any] = {
     "marker": "X",
     "markersize": 11,
@@ -57,7 +57,7 @@ _POINT: dict[str, Any] = {
 
 
 def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
-    """Draw what an estimate allows; give the files written, none when there is nothing to draw.
+    """Draw the figures that an estimate allows, and return the files written, if any.
 
     The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
     for all figures, one below the other. `only` names the one figure that is wanted.
@@ -82,7 +82,7 @@ def page_of(answer: Answer) -> Figure | None:
 
 
 def figures_of(answer: Answer) -> list[tuple[str, float, Draw]]:
-    """List the figures that an estimate allows: name, height [in] and who draws it."""
+    """List the figures that an estimate allows: name, height [in] and function that draws it."""
     found = list[tuple[str, float, Draw]]()
     if has_costs(answer):
         found.append(("d_avg", 3.2, draw_search))
@@ -108,22 +108,22 @@ def save(page: Figure, path: Path, dpi: int) -> None:
 
 @dataclass(frozen=True)
 class Fit:
-    """The pairs (n,) of which an estimate was made, and how far they are from their lines."""
+    """The n pairs of which an estimate was made, and their distances from epipolar lines."""
 
-    is_of_tangents: bool  # to the outline; no: of positions
+    is_of_tangents: bool  # pairs of tangents to the outline; False: of positions
     times_s: Array  # (n,) camera 1's clock
     points_px: tuple[Array, Array]  # (n, 2) each
-    v2_px_s: Array | None  # (n, 2) of the second; None where it is not known
+    v2_px_s: Array | None  # (n, 2) velocities of the second points; None: not known
     distances_px: Array  # (n,) signed Sampson distances
 
     @property
     def what(self) -> str:
-        """Say what they are."""
+        """Name the kind of the pairs."""
         return "tangents to the outline" if self.is_of_tangents else "positions"
 
 
 def fit_of(answer: Answer) -> Fit | None:
-    """Sample the pairs of an estimate, or of a refusal's best offset, again; None without F."""
+    """Sample again the pairs of an estimate or a refusal's best offset; None without F or pairs."""
     estimate, views, t_d_s = answer.estimate, answer.paired, best_s(answer)
     if estimate.F is None or not np.isfinite(t_d_s):
         return None
@@ -151,7 +151,7 @@ def fit_of(answer: Answer) -> Fit | None:
 
 
 def best_s(answer: Answer) -> float:
-    """Give the offset [s], or of a refusal without one the best that was tried; else NaN."""
+    """Return the offset [s]; of a refusal without one, that of least cost; else NaN."""
     estimate = answer.estimate
     if np.isfinite(estimate.t_d_s) or not np.isfinite(estimate.costs).any():
         return estimate.t_d_s
@@ -159,7 +159,7 @@ def best_s(answer: Answer) -> float:
 
 
 def has_fit(answer: Answer) -> bool:
-    """Whether there are epipolar lines, and times at which they belong together."""
+    """Whether there is an F and an offset, so that epipolar lines can be drawn."""
     return answer.estimate.F is not None and bool(np.isfinite(answer.estimate.t_d_s))
 
 
@@ -185,10 +185,10 @@ def draw_costs(axes: Axes, answer: Answer) -> None:
     """Draw the cost, or the correlation, at all offsets that were tried."""
     estimate, t_d_s = answer.estimate, best_s(answer)
     offsets_s, costs = estimate.candidates_s, estimate.costs
-    if not np.isfinite(costs).any():  # the method kept none: that of its F
+    if not np.isfinite(costs).any():  # the method kept none: take those of its F
         offsets_s = np.arange(*answer.paired.config.offsets_s, 2e-3, dtype=np.float64)
         costs = d_avg_px(answer, offsets_s)
-    # Clocks may be years apart, and ticks must tell them from each other.
+    # Clocks may be years apart: without a base, ticks would look the same.
     base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
     if estimate.F is None and np.nanmin(costs) < 0.0:
         axes.plot(offsets_s - base_s, -costs, color=BLUE, lw=1.2)
@@ -208,7 +208,7 @@ def draw_costs(axes: Axes, answer: Answer) -> None:
 
 
 def draw_minimum(axes: Axes, answer: Answer, fit: Fit | None) -> None:
-    """Draw the cost of a fit's pairs about the offset found, with the F that goes with it."""
+    """Draw the cost of a fit's pairs around the offset found, with the estimate's F."""
     t_d_s, std_s = answer.estimate.t_d_s, answer.estimate.t_d_std_s
     reach_s = max(ZOOM_S, 4.0 * std_s) if np.isfinite(std_s) else ZOOM_S
     near_s: Array = np.linspace(-reach_s, reach_s, 121, dtype=np.float64)
@@ -262,7 +262,7 @@ def draw_epipolar(canvas: Canvas, answer: Answer) -> None:
 
 
 def d_avg_px(answer: Answer, offsets_s: Array) -> Array:
-    """Eq. 4 with the F of the estimate, at each offset."""
+    """Mean epipolar distance [px] (Eq. 4) at each offset, with the estimate's F."""
     F = answer.estimate.F
     if F is None:
         return np.full(len(offsets_s), np.nan)
@@ -271,7 +271,7 @@ def d_avg_px(answer: Answer, offsets_s: Array) -> Array:
 
 
 def _instant_of(answer: Answer) -> tuple[float, dict[float, str]]:
-    """Give a time of camera 1 where d before is its median; and names by offsets of camera 2."""
+    """Return a time [s] when the distance "before" is at its median, and the offsets' names."""
     F, t_d_s = np.asarray(answer.estimate.F), answer.estimate.t_d_s
     motion1, motion2 = answer.paired.motions
     pairs = answer.paired.pairs_at(t_d_s)
@@ -290,7 +290,7 @@ def _instant_of(answer: Answer) -> tuple[float, dict[float, str]]:
 def events_around(
     answer: Answer, camera: int, time_s: float, half_length_s: float, most: int | None = None
 ) -> tuple[NDArray[np.void], Array]:
-    """Give events of camera 0 or 1 around a time of its clock, about so many, and points."""
+    """Return about `most` events of camera 0 or 1 around a time of its clock, and their points."""
     bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
     events = slice_time(answer.cleans[camera].events, *bounds_us)
     events = events if most is None else events[:: max(1, len(events) // most)]
@@ -303,7 +303,7 @@ def ideal_points(camera: Camera, events: NDArray[np.void]) -> Array:
 
 
 def telling_stretch(answer: Answer) -> tuple[float, float]:
-    """Start [s], camera 1's clock, and length [s] of where the plane's angle varies most."""
+    """Start [s] on camera 1's clock and length [s] of where `plane_angles` vary most."""
     t_d_s = answer.estimate.t_d_s
     length_s = float(np.clip(20.0 * abs(t_d_s), 0.4, 2.0))
     pairs = answer.paired.pairs(np.array([t_d_s]))
@@ -320,7 +320,7 @@ def telling_stretch(answer: Answer) -> tuple[float, float]:
 
 
 def plane_angles(answer: Answer, camera: int, points: Array) -> Array:
-    """Angle (n,) [deg] about the baseline of points (n, 2); 0: camera 1's line of sight."""
+    """Angles (n,) [deg] of the epipolar planes of points (n, 2); 0: of camera 1's optical axis."""
     R, t = np.asarray(answer.estimate.R), np.asarray(answer.estimate.t)
     rays = rays_of(answer.cameras[camera].K, points)
     if camera == 1:
@@ -377,7 +377,7 @@ def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
 
 
 def _broken(points: Array) -> Array:
-    """Points (n, 3) with NaN in each gap: a step of four times the usual one."""
+    """Points (n, 3) with NaN in each gap: a step of over four times the usual one."""
     steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
     usual_m = float(np.percentile(steps_m, 95.0)) if len(steps_m) else 0.0
     return np.insert(points, np.flatnonzero(steps_m > 4.0 * usual_m) + 1, np.nan, axis=0)

@@ -1,8 +1,8 @@
 """The registry of methods: ours, and those of other packages.
 
 A method of ours is a function of `ssac.methods` (see `ssac.methods.method`). Any installed package
-adds its own by an entry point of the group `ssac.methods` (docs/methods.md). What runs is imported
-when it is asked for, so that nobody waits for the others.
+adds its own by an entry point of the group `ssac.methods` (docs/methods.md). A method's code is
+imported when that method is asked for, so that nobody waits for the others.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Esti
 _STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
 
-# The folder of ours, by which keys of runs count them all, and the group of others' entry points.
+# The package of our methods, which keys of runs read here, and the group of entry points of others.
 _METHODS = "ssac.methods"
 
 OURS = our_methods()
@@ -44,7 +44,7 @@ OURS = our_methods()
 class Registry(Mapping[str, Method]):
     """Our methods in their order, then those of other packages by name.
 
-    A broken package stops nobody who does not ask for it: looking its method up raises SsacError.
+    A broken package affects only those who ask for it: looking its method up raises SsacError.
     """
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ METHODS: Mapping[str, Method] = Registry()
 
 
 def load(method: Method) -> None:
-    """Import what runs, of a method and of those that it starts from."""
+    """Import the code of a method, and of those that it starts from."""
     if method.runs:
         _ = method.function
     if method.starts_from:
@@ -117,7 +117,7 @@ def choose_method(
 
 
 def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -> Estimate:
-    """Run another package's method; what it raises or returns amiss is said to be its own."""
+    """Run another package's method; raise PluginError for its exceptions and wrong results."""
     where: Path | str = home
     try:
         estimate: Any = function(*given)
@@ -126,7 +126,7 @@ def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(home)]
-        if theirs:  # in which line of that package it arose, or was let through
+        if theirs:  # the last line of that package in the traceback
             where = f"{theirs[-1].filename}, line {theirs[-1].lineno}"
         raise PluginError(_bug(origin, f"{type(error).__name__}: {error}", where)) from error
     if not isinstance(estimate, Estimate):  # which would spoil a table in silence
@@ -178,7 +178,7 @@ def _method_from(entry: EntryPoint) -> Method:
     return replace(
         found,
         estimate=partial(_checked, function, origin, _home(entry)),
-        runs="",  # which are ours alone
+        runs="",  # this and the next two are for our methods alone
         starts_from="",
         keeps_start="",
         version=" ".join(filter(None, (_distribution(entry), _code_hash(entry), found.version))),

@@ -1,4 +1,4 @@
-"""What is found of two cameras, as text for people and as JSON for machines."""
+"""Reports of two cameras' answer, as text for people and as JSON for machines."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
 from ssac.screen import columns, folded
 
-Rows = Sequence[tuple[str, str]]  # of a name, which may be empty, and a value
+Rows = Sequence[tuple[str, str]]  # pairs of a name, which may be empty, and a value
 
 _NAME = 15  # columns of a row's name
 
@@ -26,12 +26,12 @@ _OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
 
 
 def report_text(answer: Answer) -> str:
-    """Lay out a result for people, the sign of the offset in words."""
+    """Return an answer as text for people, with the sign of the offset in words."""
     return text_of(report_rows(answer))
 
 
 def report_rows(answer: Answer) -> Rows:
-    """Lay out a result for people, in rows that nothing has folded."""
+    """Return an answer as rows for people, whose long values are not yet folded."""
     estimate, rows = answer.estimate, list[tuple[str, str]]()
     if estimate.status != "ok":
         title = "no pose" if estimate.has_offset else "no estimate"
@@ -66,7 +66,7 @@ def text_of(rows: Rows) -> str:
 
 
 def report_json(answer: Answer) -> dict[str, Any]:
-    """Lay out a result for machines: units in the names, None for what is missing."""
+    """Return an answer as a dictionary for JSON: units in the names, None for what is missing."""
     estimate = answer.estimate
     return {
         **{name: plain(getattr(estimate, name)) for name in _OF_CLOCK},
@@ -87,7 +87,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "unobservable": plain(estimate.unobservable),
         "covariance": plain(estimate.covariance),
         "clock_covariance": plain(estimate.clock_covariance),
-        "clock_knots": [  # with the deviation of all that the clock shows there
+        "clock_knots": [  # std_s: deviation of the whole clock reading there
             dict(zip(("t_s", "stray_s", "std_s"), knot.tolist(), strict=True))
             for knot in np.column_stack(
                 [estimate.knots_s, estimate.strays_s, estimate.strays_std_s]
@@ -116,7 +116,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
 
 
 def _objects_row(answer: Answer) -> list[tuple[str, str]]:
-    """Say what was seen beside the object; nothing where that was one thing at a time."""
+    """Row on the number of objects seen; none where all cameras saw one at a time."""
     objects = [seen.used for seen in answer.cleans]
     if not (answer.looks_at_one_object and answer.sees_several):
         return []
@@ -136,7 +136,7 @@ def html_of(rows: Rows) -> str:
 
 
 def save_json(path: Path, told: dict[str, Any]) -> None:
-    """Write what is laid out for machines; the file appears only when it is complete."""
+    """Write a dictionary as a JSON file, which appears only when it is complete."""
     rows = [
         f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in told.items()
     ]
@@ -222,27 +222,27 @@ def _pose_rows(
 
 
 def sight_deg(R: Array) -> float:
-    """Give the angle between both lines of sight."""
+    """Return the angle [deg] between both cameras' optical axes."""
     return float(np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0))))
 
 
 def of_length(distance_m: float | None) -> tuple[str, str, str]:
-    """Say how camera 2 lies at its place, in which unit, and how long t is."""
+    """Return the words for camera 2's place, its unit and the length of t, by the distance."""
     if distance_m is None:
         return "lies towards", "", "of unknown length"
     return "lies at", " m", f"{distance_m:g} m long as stated"
 
 
 def counts_of(answer: Answer) -> str:
-    """Say what the estimate's `n_samples` are, in the words of its method."""
-    if answer.estimate.status != "ok":  # it may have stopped before the pairs it is named for
+    """Name what the estimate's `n_samples` counts, in the words of its method."""
+    if answer.estimate.status != "ok":  # the method may have stopped before it had its own pairs
         return "pairs"
     counts = Method.counts if answer.of_start else answer.method.counts
     return counts.partition(",")[0] if answer.estimate.without_body else counts
 
 
 def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
-    """Say of each camera what was masked, filtered in another way, or left out."""
+    """Rows on cameras with masked pixels, an adapted filter, a faint object or a line."""
     rows = []
     for number, camera in enumerate(answer.cleans, start=1):
         clutter, parts = camera.clutter, list[str]()

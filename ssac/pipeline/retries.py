@@ -1,9 +1,9 @@
-"""What else may explain recordings that give nothing, or little, as they were asked about.
+"""Retries with other assumptions, for recordings that give no answer, or a doubtful one.
 
-Nobody should need an option for what can be found out: clocks far apart, fast ones and those that
-wander; objects that give few events, or are several; a rig whose intrinsics are less certain than
-it says. What the config asks for is kept, and nothing is tried where the default gives an answer,
-but for a skew or a rig that is in doubt.
+Nobody should need an option for what can be found out: clocks that are far apart, fast or
+wandering; objects that give few events, or several objects; a rig whose intrinsics are less certain
+than it says. What the config asks for is kept, and nothing is tried where the default gives an
+answer, except for a skew or a rig that is in doubt.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,24 +24,24 @@ from ssac.track.observation import Observation
 TINY = "the object is too small for an outline that says more than the mean of its events"
 
 FAST, WANDERING = "fast", "pieces"
-"""Clocks of one skew far beyond that of oscillators; and of phones, whose skew changes."""
+"""Clocks of one skew far beyond that of oscillators, and of a changing skew, as of phones."""
 
 
 def lies_elsewhere(asked: Config, found: Estimate) -> bool:
-    """Whether an interval that nobody asked for gave nothing, and other offsets may."""
+    """Whether the default interval gave nothing, so that offsets outside it may explain all."""
     is_asked = asked.interval_s is not None or asked.rates is not None or asked.search != "auto"
     return not is_asked and found.status in SETTLED_BY["all offsets"]
 
 
 def narrows(asked: Config, found: Estimate) -> bool:
-    """Whether an interval that was asked for may be why nothing was found."""
+    """Whether the interval that was asked for may be the reason of a refusal."""
     is_asked = asked.interval_s is not None or asked.search == "interval"
     may_be = Status.SEARCH_BOUND, Status.TOO_LITTLE_MOTION, Status.NO_MATCH, Status.POOR_FIT
     return is_asked and found.status in (*may_be, Status.AMBIGUOUS_OFFSET)
 
 
 def is_truer(wider: Estimate, found: Estimate) -> bool:
-    """Whether a search of all offsets says more than that an interval held none."""
+    """Whether the refusal of a search of all offsets says more than that of an interval."""
     is_narrow = found.status in (Status.NO_COMMON_TIME, Status.SEARCH_BOUND)
     return is_narrow or found.status == wider.status == Status.NO_MATCH
 
@@ -49,12 +49,12 @@ def is_truer(wider: Estimate, found: Estimate) -> bool:
 def other_clocks(
     asked: Config, config: Config, of_track: bool, found: Estimate
 ) -> Iterator[tuple[str, Config]]:
-    """Name the clocks to be tried where the usual one fits ill, with the config of each."""
+    """Yield the name and config of each clock to try where the usual one fits poorly."""
     rules = config.rules.retry
     if not config.prior_ppm > 0.0:
         return
-    # Tangents may be led into what a skew near zero allows, by a start that is against it. The
-    # skew found is the whole one, where a search found the rate of which the rest is fitted.
+    # Tangents may settle at a skew near zero although their start contradicts it: both count. After
+    # a search over rates, `skew_ppm` is the whole skew, not only the part that was fitted.
     against = [one.against_skew for one in (found, found.start) if one is not None]
     is_far = max(*against, abs(found.skew_ppm) / config.prior_ppm) > rules.far_skew
     if asked.skew_prior_ppm is None and not of_track:
@@ -69,7 +69,7 @@ def other_clocks(
 def other_rates(
     asked: Config, config: Config, cleans: tuple[Clean, Clean], found: Estimate
 ) -> Interval | None:
-    """Give the rates of a fast clock to search with all offsets, where events match at none."""
+    """Return the rates of a fast clock to search with all offsets, if events match at none."""
     is_asked = asked.skew_prior_ppm is not None or asked.rates is not None
     is_asked |= asked.interval_s is not None or any(one.has_track for one in cleans)
     is_open = not is_asked and found.status in SETTLED_BY["rates"]
@@ -77,7 +77,7 @@ def other_rates(
 
 
 def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:
-    """Whether another clock's answer holds; a fast one must be faster than a jump looks."""
+    """Whether another clock's estimate holds; a fast one must exceed the skew of a mere jump."""
     is_slow = abs(by_other.skew_ppm) < rules.least_fast_ppm
     if clock == FAST and found.status == Status.CLOCK_JUMP and is_slow:
         return False
@@ -85,12 +85,12 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
 
 
 def is_vague(found: Estimate, rules: RetryRules) -> bool:
-    """Whether the pose is open, and the offset as good as open too: all refinements failed, say."""
+    """Whether the pose is open and the offset vague too, as where all refinements failed."""
     return found.status in POSE_IS_OPEN and not found.t_d_std_s <= rules.vague_s
 
 
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
-    """Whether one faint object may be followed, where the usual windows give nothing."""
+    """Whether to track one faint object in the events, as the usual windows give nothing."""
     if any(one.has_track for one in cleans) or not _has_usual_windows(asked):
         return False
     is_thin = any(one.clutter is not None and one.clutter.n_min < N_MIN for one in cleans)
@@ -100,7 +100,7 @@ def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> boo
 def hidden(
     name: str, seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
 ) -> Refusal | None:
-    """Refuse what a camera saw of a faint object, of which noise hides too much."""
+    """Refuse a camera's recording of a faint object, if noise hides too much of it."""
     noise_hz = 0.0 if cleaned.clutter is None else cleaned.clutter.background_hz
     if noise_hz < rules.quiet_hz:
         return None
@@ -129,7 +129,7 @@ def _has_usual_windows(asked: Config) -> bool:
 
 
 def closer_look(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Iterator[Config]:
-    """Give a way to tell objects apart that are closer to each other."""
+    """Yield a config that tells apart objects which are closer to each other."""
     is_of_events = not all(one.has_track for one in cleans)
     if is_of_events and answer.estimate.status in SETTLED_BY["closer"]:
         yield from _closer(asked)
@@ -142,7 +142,7 @@ def _closer(asked: Config) -> Iterator[Config]:
 
 
 def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Iterator[Config]:
-    """Give other ways to see the object: over longer windows, of fewer events."""
+    """Yield configs with longer windows, or with windows of fewer events."""
     of_events, found = [one for one in cleans if not one.has_track], answer.estimate
     if not of_events or not _has_usual_windows(asked):
         return
@@ -151,14 +151,14 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
     is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
     is_several = found.status == Status.SEVERAL_OBJECTS or answer.sees_several
     is_thin = found.status in SETTLED_BY["few events"]
-    # Where the motion repeats itself, outlines tell offsets apart; means may be led to a wrong one.
+    # Where the motion repeats itself, outlines tell offsets apart; mean positions may mislead.
     is_for_outlines = answer.method.needs_events and found.status in SETTLED_BY["longer"]
     if is_thin or is_for_outlines or is_vague(found, rules.retry):
         yield replace(asked, half_window_s=rules.retry.longer_s)
     is_hidden = (is_noisy or is_several) and found.status in SETTLED_BY["noise"]
     is_one_of_some = found.status == Status.AMBIGUOUS_OFFSET and len(found.alternatives_s) > 0
     if is_thin or is_hidden or is_one_of_some:
-        # Less of the object goes with the noise, or as if it were noise; and it is seen for longer.
+        # Fewer of the object's events are then removed as noise, and it is seen for longer.
         fewer = replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
         yield fewer
         is_crowded = found.status in SETTLED_BY["closer"] or answer.sees_several
@@ -170,21 +170,21 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
 
 
 WAYS = closer_look, other_windows
-"""Other ways to look at recordings, each by what there is after the one before."""
+"""Generators of other configs to try, each called with the answer that the one before left."""
 
 
 def may_give_start(method: Method, found: Estimate) -> bool:
-    """Whether what a method starts from may answer in its place."""
-    # With a known pose joint's deviations say less: of two such one was 18 of them off.
+    """Whether the estimate that a method starts from may replace the method's own refusal."""
+    # With a known pose the deviations of joint are less reliable: one of two was 18 of them off.
     is_open = bool(method.keeps_start) and not method.needs_extrinsics
     return is_open and found.status in SETTLED_BY["start"]
 
 
 def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
-    """Give the answer of what a method starts from in its place, where it gives none itself.
+    """Return the answer that a method starts from, in place of the method's own refusal.
 
-    Little that touches the outline, a branch or another object, spoils tangents, and moves the mean
-    of the events a little: by more than its deviations say, which are widened for it.
+    A branch or another object that touches the outline spoils tangents, and moves the mean of the
+    events a little, but by more than its deviations say. These are therefore widened.
     """
     estimate = scaled(start.estimate, rules.start_widened)
     estimate = replace(estimate, method=method.name, start=start.estimate)
@@ -193,7 +193,7 @@ def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
 
 
 def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
-    """Give a refusal of what was left of several things as what it comes from."""
+    """Turn a refusal of what is left of several objects into one for several objects."""
     counts = [one.used.seen for one in seen]
     if max(counts) == 1 or found.status not in SETTLED_BY["one object"]:
         return found
@@ -206,7 +206,7 @@ def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
 
 
 def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tuple[Rig, float]]:
-    """Give a rig that is in doubt as less certain, and how much may speak against that."""
+    """Yield a doubtful rig with larger deviations, and the limit of `against` for each."""
     states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
     is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
     is_in_doubt |= found.status == Status.POOR_FIT and not states
@@ -229,7 +229,7 @@ def _known_to(rig: Rig, focal: float, centre_px: float) -> Rig:
 def usual_mistake(
     rig: Rig, cleans: tuple[Clean, Clean], found: Estimate
 ) -> tuple[str, Rig, tuple[Clean, Clean]] | None:
-    """Give the mistake in a rig that may explain a refusal, and all as if it were mended."""
+    """Return a mistake in a rig that may explain a refusal, and rig and data without it."""
     one, other = cleans
     if found.status not in SETTLED_BY["rig"]:
         return None

@@ -1,9 +1,9 @@
-"""What the player on an HTML page draws: each camera's events, how two of them fit, and the scene.
+"""Data for the player on an HTML page: each camera's events, how two cameras fit, and the scene.
 
-Events are put into short frames, of each of which the pixels are kept in which something happened:
-what an eye can tell, at about a byte an event. Beside them stand the object's positions, so that
-the player draws epipolar lines at any time and with any offset; and the cameras and the object's
-path in space, with their deviations.
+Events are put into short frames, of which only the pixels with an event are kept: what an eye can
+tell, at about a byte an event. With them go the object's positions, so that the player can draw
+epipolar lines at any time and with any offset; and the cameras and the object's path in space, with
+their deviations.
 """
 
 import base64
@@ -32,16 +32,16 @@ from ssac.track.motion import Motion
 
 # Bounds of a page's size and of what an eye can tell; nothing is decided by them.
 _LONGEST_S = 120.0
-_MOST_EVENTS = 1_200_000  # of all cameras: 1 MB of the page; of noise 2.4
+_MOST_EVENTS = 1_200_000  # of all cameras: 1 MB of the page, or 2.4 MB if they are noise
 _MOST_FRAMES, _LEAST_FRAME_S = 6000, 0.01
 _MOST_COLUMNS = 400  # of a frame
-_REACH_S = 1.0  # by which the offset can be moved where none was found
-_REACHES_S = 0.1, 3.0  # and from what was found
-_FAR_PX = 60.0  # farther off the line than this tells no more
+_REACH_S = 1.0  # by which the player can move the offset, where none was found
+_REACHES_S = 0.1, 3.0  # least and largest reach around an offset that was found
+_FAR_PX = 60.0  # from the epipolar line; larger distances count as this
 _INVALID = -32768
 _MOST_POINTS = 1500  # of the path
-_CROSSES = 60  # of deviations along it
-_LARGER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))  # how deviations are drawn
+_CROSSES = 60  # of deviations along the path
+_LARGER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))  # scales to draw deviations at
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +49,20 @@ class Seen:
     """One camera, as the page shows it."""
 
     clean: Clean  # as methods saw it
-    shown: Clean  # of a refused recording with all of its events
+    shown: Clean  # as drawn: of a refused recording with all of its events
     motion: Motion  # of the object
     later_s: float | None  # what its clock shows more than the first camera's; None: not known
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last time of its clock; 0 of a recording without events."""
+        """First and last time [s] on the camera's clock; (0, 0) without events."""
         first_s, last_s = self.shown.span_s
         return (first_s, last_s) if first_s <= last_s else (0.0, 0.0)
 
     def points(self, span_s: tuple[float, float], most: int) -> tuple[Array, Array, Mask]:
-        """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` of them.
+        """Return times (n,) [s], undistorted points (n, 2), and a mask (n,) of the brighter ones.
 
-        They are events between two times of its clock, or points of its track.
+        They are about `most` events between two times of its clock, or all points of its track.
         """
         camera, track = self.shown.camera, self.shown.track
         if track is not None:
@@ -78,7 +78,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Grid:
-    """The cells in which a camera's undistorted image is shown."""
+    """A grid of cells over a camera's undistorted image."""
 
     left_px: float
     top_px: float
@@ -87,7 +87,7 @@ class Grid:
     rows: int
 
     def cells(self, points_px: Array) -> tuple[IntArray, Mask]:
-        """Give the cells (n,), row by row, of points (n, 2), and which of these lie in one."""
+        """Return the cells (n,), row by row, of points (n, 2), and a mask (n,) of those inside."""
         with np.errstate(invalid="ignore"):
             places = np.floor((points_px - (self.left_px, self.top_px)) / self.cell_px)
             inside = np.all((places >= 0) & (places < (self.columns, self.rows)), axis=1)
@@ -96,7 +96,7 @@ class Grid:
 
 
 def grid_of(camera: Camera) -> Grid:
-    """Lay cells over what a camera sees, its lens taken out."""
+    """Return a grid over a camera's undistorted field of view."""
     size = np.array([camera.width, camera.height], np.float64)
     sides = (np.linspace(-0.5, side - 0.5, 33, dtype=np.float64) for side in size)
     ideal = undistort_points(camera, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
@@ -111,17 +111,17 @@ def grid_of(camera: Camera) -> Grid:
 
 
 def as_recorded(clean: Clean) -> Clean:
-    """Give a camera with all of its events, noise too; as it is where there is none."""
-    if clean.n_recorded == len(clean.events):  # a track's too, which has none
+    """Return a recording with all of its events, noise too; as it is where none were removed."""
+    if clean.n_recorded == len(clean.events):  # also for a track, which has no events
         return clean
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were said when it was read for the estimate
+        warnings.simplefilter("ignore")  # the warnings were given when it was read for the estimate
         events = clean.all_events()
     return clean if events is None else replace(clean, events=events, track=None)
 
 
 def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, Any]:
-    """Lay out what the player draws of both, as plain lists, numbers and base64 for JSON."""
+    """Return what the player draws of cameras and pairs: lists, numbers and base64 for JSON."""
     begin_s, end_s = _stretch(cameras[0])
     views = []
     for k, seen in enumerate(cameras):
@@ -135,7 +135,7 @@ def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, An
 
 
 def _stretch(seen: Seen) -> tuple[float, float]:
-    """Give start and end [s] of what is shown of a camera: where it sees the object most."""
+    """Return start and end [s] of the part to show, where a camera sees the object most."""
     first_s, last_s = seen.span_s
     if last_s - first_s <= _LONGEST_S:
         return first_s, last_s
@@ -192,7 +192,7 @@ def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
 
 
 def densities(seen: Seen, grid: Grid) -> NDArray[np.uint8]:
-    """Draw where a camera had events, the more the darker: (rows, columns, 4), mostly clear."""
+    """Draw the density of events as RGBA (rows, columns, 4): grey, the denser the more opaque."""
     _, points_px, _ = seen.points(seen.span_s, 3 * _MOST_EVENTS)
     cells, inside = grid.cells(points_px)
     counts = np.bincount(cells[inside], minlength=grid.rows * grid.columns)
@@ -203,18 +203,18 @@ def densities(seen: Seen, grid: Grid) -> NDArray[np.uint8]:
 
 
 def packed(values: NDArray[Any], dtype: DTypeLike) -> str:
-    """Deflate numbers (n,), or (n, 2), their bytes of equal worth side by side, as base64."""
+    """Deflate numbers (n,) or (n, 2), bytes of equal significance side by side, to base64."""
     numbers = np.ascontiguousarray(values.astype(dtype)).ravel()
     planes = numbers.view(np.uint8).reshape(len(numbers), -1).T
     return base64.b64encode(zlib.compress(planes.tobytes())).decode("ascii")
 
 
 def _pair(pair: Pair, answer: Answer, views: list[dict[str, Any]]) -> dict[str, Any]:
-    """Lay out how two cameras fit: F, the clock and the cost over the offsets that can be tried."""
+    """Return how two cameras fit: F, the clock, and the cost over offsets that can be tried."""
     estimate, clock = answer.estimate, answer.estimate.clock
     middle_s = best_s(answer)
     is_known, reach_s = bool(np.isfinite(middle_s)), _reach_s(middle_s)
-    if not is_known:  # clocks as they are; or, where they have nothing in common, from both starts
+    if not is_known:  # equal clocks; or equal starts, where these are far apart
         apart_s = views[pair[1]]["start"] - views[pair[0]]["start"]
         middle_s = 0.0 if abs(apart_s) < _LONGEST_S else apart_s
     before_s = float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s))
@@ -239,7 +239,7 @@ def _pair(pair: Pair, answer: Answer, views: list[dict[str, Any]]) -> dict[str, 
 
 
 def _telling_time_s(answer: Answer, view: dict[str, Any], before_s: float) -> float:
-    """Give a time at which a picture tells much: before, the object is far off its line."""
+    """Return a time at which the object is far off its epipolar line before synchronisation."""
     views, F, t_d_s = answer.paired, answer.estimate.F, best_s(answer)
     times_s: Array = view["start"] + view["frame"] * np.arange(view["n_frames"], dtype=np.float64)
     one = views.motion1.at(times_s)
@@ -254,10 +254,10 @@ def _telling_time_s(answer: Answer, view: dict[str, Any], before_s: float) -> fl
 
 
 def scene_of_two(answer: Answer) -> dict[str, Any] | None:
-    """Lay out two cameras, the first of which is the frame, and where both rays to the object meet.
+    """Return the scene of two cameras in the first one's frame, with the triangulated path.
 
-    Deviations of the path are those of its positions' noise; the pose's are at camera 2. None where
-    there is no reliable pose.
+    The path's deviations are those of its positions' noise; the pose's are drawn at camera 2. None
+    where there is no reliable pose.
     """
     estimate, views = answer.estimate, answer.paired
     R, t, F = estimate.R, estimate.t, estimate.F
@@ -294,7 +294,7 @@ def scene_of_two(answer: Answer) -> dict[str, Any] | None:
 
 
 def scene_of_network(network: NetworkAnswer) -> dict[str, Any] | None:
-    """Lay out the cameras of the first group and the path that they saw; None without a group."""
+    """Return the scene of the first group's cameras and the object's path; None without a path."""
     if not network.paths or not len(network.paths[0].path):
         return None
     path, cameras = network.paths[0].path, list[dict[str, Any]]()
@@ -315,7 +315,7 @@ def _camera(k: int, R: Array, centre: Array, axes: Array, later_s: float) -> dic
 
 
 def _axes(covariances: Array) -> Array:
-    """Give the three axes (..., 3, 3), in rows, of one deviation of covariances (..., 3, 3)."""
+    """Return the 1-sigma axes (..., 3, 3), in rows, of covariances (..., 3, 3)."""
     values, vectors = np.linalg.eigh(covariances)
     return np.asarray(np.swapaxes(vectors * np.sqrt(values.clip(0.0))[..., None, :], -1, -2))
 
@@ -323,7 +323,7 @@ def _axes(covariances: Array) -> Array:
 def _laid_out(
     cameras: list[dict[str, Any]], times_s: Array, points: Array, places: Array, crosses: Array
 ) -> dict[str, Any]:
-    """Give all of it as lists, and how much larger deviations must be drawn to be seen."""
+    """Return the scene as lists, with the scale at which its deviations can be seen."""
     every = np.vstack([points, [camera["centre"] for camera in cameras]])
     extent = float(np.linalg.norm(np.ptp(every, axis=0)))
     longest = np.linalg.norm(crosses, axis=2).max(axis=1)
