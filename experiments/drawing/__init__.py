@@ -1,1 +1,1 @@
-"""Figures of results and of recordings, drawn the same whenever they are drawn."""
+"""Figures of results and of recordings, the same for the same data."""

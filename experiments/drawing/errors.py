@@ -1,9 +1,9 @@
-"""Errors of methods against the angle, and against whatever an ablation varies.
+"""Figures of the methods' errors against the angle, or against what an ablation varies.
 
-Of the tables each figure has a row of axes for each error and a column for each duration; a marker
-is the mean over flights and offsets. Of an ablation a row is a method and a column an error, with
-one line for each angle or whatever else the grid varies. Runs that were refused have no error: a
-mean of the others is hollow.
+A figure of the tables has a row of axes for each error and a column for each duration; a marker is
+the mean over flights and offsets. One of an ablation has a row for each method and a column for
+each error, with one line for each angle or other value that the grid varies. Refused runs have no
+error: where there are any, the mean of the others is a hollow marker.
 """
 
 import re
@@ -39,16 +39,16 @@ from sim.scene.flyers import quadrotor
 from ssac.config import N_MIN
 
 REFINED = ("ssac", "joint", "tangency")
-"""Methods without the extrinsics, from the paper's on; each starts from the one before."""
+"""The paper's method and its refinements, without extrinsics; each starts from the one before."""
 
 REFUSED = "refused runs [%]"
 
-_LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
+_LEAST = 0.01  # of each error, in its own unit: smaller ones are drawn there
 _ANGLE_STEP_DEG = 30.0  # at most
 _THRESHOLD = 1.0  # of each error, in its unit: the largest of the success curves
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
 
-# Of an ablation's line, by the parameter that it stands for.
+# Label of an ablation's line, by the parameter that varies from line to line.
 _NAMES = {
     "sim.angle_deg": "{:g} deg",
     "sim.spline.duration_s": "{:g} s",
@@ -57,7 +57,7 @@ _NAMES = {
 _MARKERS = "osD^vPX"
 _STEP = 0.03  # of the axis, between neighbouring lines of an ablation: none covers another
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
-_MAX_VALUES = 6  # of the parameter, all of which are written below the axis
+_MAX_VALUES = 6  # up to so many values of the parameter are ticks of the axis
 
 
 def error_figure(
@@ -65,7 +65,7 @@ def error_figure(
 ) -> Figure:
     """Draw the errors of all methods, single runs and means, beside the paper's.
 
-    `published` has the paper's table of each duration [s]; `what` is the experiment.
+    `published` has the paper's table of each duration [s]; `what` names the experiment.
     """
     angles_deg = sorted(runs["angle_deg"].unique())
     step_deg = float(np.diff(angles_deg).min(initial=_ANGLE_STEP_DEG))
@@ -185,7 +185,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
 def success_figure(runs: pd.DataFrame) -> Figure:
     """Draw the share of all runs, the refused among them, whose error is below a threshold.
 
-    Beside each method stands the area under its curve, in percent of all there is.
+    The legend gives the area under each method's curve, in percent of the largest possible.
     """
     looks = method_looks(method_order(runs["method"]))
     durations_s = sorted(runs["duration_s"].unique())
@@ -200,7 +200,7 @@ def success_figure(runs: pd.DataFrame) -> Figure:
             for method, look in looks.items():
                 of, there = part[part["method"] == method], runs["method"] == method
                 if runs.loc[there, error.column].isna().all():
-                    continue  # it gives none
+                    continue  # the method does not give this quantity
                 errors = np.sort(_with_error(of, error)[error.column].to_numpy(np.float64))
                 below = errors[errors < _THRESHOLD]
                 shares = 100.0 * np.arange(len(below) + 1) / max(len(of), 1)
@@ -229,7 +229,7 @@ def _error_grid(
     bottom: float | None = None,
     **ratios: Any,
 ) -> Figure:
-    """Lay out axes with angles below, and errors on a logarithmic axis, from `bottom` on."""
+    """Draw errors over angles, a row for each error; the logarithmic axes begin at `bottom`."""
     durations_s, angles_deg = (sorted(table[name].unique()) for name in ("duration_s", "angle_deg"))
     shape = len(ERRORS), len(durations_s)
     figure, grid = panels(title, height_in, *shape, sharex=True, sharey="row", **ratios)
@@ -249,16 +249,16 @@ def _error_grid(
 
 
 def _columns(methods: Sequence[str], width_deg: float) -> list[tuple[str, float]]:
-    """Give methods their columns beside an angle, so that they do not cover each other."""
+    """Return each method's shift [deg] beside an angle, so that none covers another."""
     n = len(methods)
     return [(method, width_deg * ((k + 0.5) / n - 0.5)) for k, method in enumerate(methods)]
 
 
 def flight_means(runs: pd.DataFrame, error: str, by: str = "angle_deg") -> pd.DataFrame:
-    """Mean error by angle over all runs that are "ok", its standard error, and how many runs.
+    """Return mean and standard error of an error, and counts of runs, by angle or another column.
 
-    All offsets of a flight share its recording, so a flight, of which each has a seed of its own,
-    counts once in the standard error, which is NaN of a single one.
+    Means are over the runs that are "ok". All offsets of a flight share its recording, so a flight,
+    told by its seed, counts once in the standard error, which is NaN of a single flight.
     """
     ok = _with_error(runs, ERRORS[error])
     by_place = ok.groupby(by)[error]
@@ -272,9 +272,9 @@ def flight_means(runs: pd.DataFrame, error: str, by: str = "angle_deg") -> pd.Da
 def published_means(
     published: Mapping[float, pd.DataFrame], duration_s: float, method: str, error: str
 ) -> pd.DataFrame | None:
-    """Give the paper's means by angle, pooled over offsets; a flight counts once as well.
+    """Return the paper's means by angle, pooled over offsets; None where the paper has none.
 
-    None where the paper has none.
+    A flight counts once in the standard error here, too.
     """
     start = {q.name: q.published for q in PUBLISHED_ERRORS}.get(f"{method}_{error}")
     table = published.get(duration_s)
@@ -287,7 +287,7 @@ def published_means(
 
 
 def pooled(cells: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
-    """Root mean squares of some columns by angle, over the offsets, as many runs as each has."""
+    """Return root mean squares of columns by angle, over the offsets, each weighted by its runs."""
     squares = cells[columns].pow(2).mul(cells["n_runs"], axis=0)
     by_angle = squares.groupby(cells["angle_deg"]).sum()
     n_runs = cells["n_runs"].groupby(cells["angle_deg"]).sum()
@@ -302,7 +302,7 @@ def _with_error(runs: pd.DataFrame, error: Quantity) -> pd.DataFrame:
 def _draw_bars(
     axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, side: int = 1, **style: Any
 ) -> None:
-    """Draw means by angle, or by what else is below, a line, and their standard errors."""
+    """Draw a line of means over the table's index, with bars of their standard errors."""
     x, marks = means.index.to_numpy(np.float64) + shift_deg, {"ms": 5, **look.style}
     if look.marker == "*":
         marks["ms"] = PAPER["ms"]
@@ -313,20 +313,20 @@ def _draw_bars(
 
 
 def _marks(looks: Mapping[str, Look], width: float, *others: Named) -> list[Named]:
-    """Name looks in a legend, then other marks."""
+    """Return the entries of a legend: looks by name, then other marks."""
     of_looks = [(name, {"lw": width, "ms": 5, **look.style}) for name, look in looks.items()]
     return [*of_looks, *others]
 
 
 def ablation_figure(runs: pd.DataFrame, grid: GridConfig) -> Figure:
-    """Draw an ablation of its runs: a row for each method, a line for each value of what varies.
+    """Draw the runs of an ablation: a row for each method, a line for each value of what varies.
 
-    The offsets of a flight are pooled. Where two parameters vary beside the one on which x moves,
-    a row is for each value of the second, a line for each method, and the first is pooled.
+    The offsets of a flight are pooled. Where two parameters vary beside the one on the x axis, each
+    value of the second has a row, each method has a line, and the first is pooled.
     """
     look = grid.figure
     assert look is not None
-    # Each axis of the grid, but for the one on which x moves, by its first parameter.
+    # The first parameter of each axis of the grid, except the axis that has x.
     others = [next(iter(axis[0])) for axis in grid.axes if look.x not in axis[0]]
     others = [name for name in others if name != "sim.t_d_s"] or ["sim.angle_deg"]
     row_of, line_of = ("method", others[0]) if len(others) == 1 else (others[-1], "method")
@@ -365,7 +365,7 @@ def ablation_figure(runs: pd.DataFrame, grid: GridConfig) -> Figure:
 
 
 def _default(rows: Any, look: FigureConfig) -> list[Named]:
-    """Draw the default of what varies, and name it: an angle, of which all are filmed, has none."""
+    """Draw and name the default of the x axis; angles, all of which are filmed, have none."""
     if look.x == "sim.angle_deg":
         return []
     default, units = look.scale * default_value(look.x), re.findall(r"\[(\w+)\]", look.label)
@@ -410,7 +410,7 @@ def _value_name(name: str, value: Any) -> str:
 def _draw_line(
     axes: Axes, runs: pd.DataFrame, of: FigureConfig, quantity: str, look: Look, aside: float
 ) -> None:
-    """Draw means with their errors, or bars of refused runs, aside by a share of the axis."""
+    """Draw means with standard errors, or bars of refused runs, shifted by a share of the axis."""
     found = flight_means(runs, T_D_ERROR.column if quantity == REFUSED else quantity, of.x)
     x = found.index.to_numpy(np.float64)
     if of.log:
@@ -426,7 +426,7 @@ def _draw_line(
 
 
 def _set_scales(column: Any, runs: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
-    """Set both axes of a column, which shares them: bars of errors may end below what is shown."""
+    """Set the scales that the axes of a column share; error bars may end below what is shown."""
     from matplotlib.ticker import NullLocator
 
     axes, values = column[0], np.unique(runs[look.x].to_numpy(np.float64))

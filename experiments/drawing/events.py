@@ -1,4 +1,4 @@
-"""The paper's Fig. 3, 4 and 5, and the alignment of two cameras, each of one recording."""
+"""Figures of one recording: the paper's Fig. 3, 4 and 5, and the alignment of two cameras."""
 
 import io
 from pathlib import Path
@@ -38,13 +38,13 @@ from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
 
 STRETCH_S = (0.2, 2.2)
-"""Of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
+"""Part of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
 
 SEARCH_S = 1.0
 """Half the width of Fig. 5 (a)."""
 
 PICTURES = 12, 30, 20
-"""Of the animation: before the offset moves, while it does, and after."""
+"""Numbers of pictures of the animation before the offset moves, while it does, and after."""
 
 PICTURE_MS = 80
 
@@ -63,7 +63,7 @@ DARK: dict[str, Any] = {
 """Colours of the report's player on a dark ground, which suits a light page and a dark one."""
 
 _PALETTE_SIZE = 48
-_ANIMATION_DPI = 150  # half as much again as a page shows it: under 2 MB, to load at once
+_ANIMATION_DPI = 150  # 1.5 times that of a page; the file has less than 2 MB
 _CLOUD = 1500  # events of each camera
 _SHAPE = 0.75  # height of a view over its width
 _MARGIN_PX = 30.0  # between the object's path and the edge of a view
@@ -81,7 +81,7 @@ def load_recording(folder: Path, t_d_s: float = 0.0) -> Chain:
 def preprocessing_figure(chain: Chain) -> Figure:
     """Draw Fig. 3: STRETCH_S of camera 1's events, raw and denoised, and the positions p(t).
 
-    Every so many events are drawn, the same share of the raw and of the denoised ones.
+    The same share of the raw and of the denoised events is drawn.
     """
     motion = chain.views().motion1
     edges_us = [round(edge_s * US_PER_S) for edge_s in STRETCH_S]
@@ -123,10 +123,10 @@ def epipolar_figure(chain: Chain) -> Figure:
 
 
 def alignment_animation(chain: Chain) -> bytes:
-    """Draw how both cameras' views come together, as an animated PNG of `tangency`'s estimate.
+    """Draw the alignment of both cameras' views under `tangency`'s estimate, as an animated PNG.
 
-    Time runs through a telling stretch. Camera 2 is looked at an offset later, which is zero at
-    first, then moves to the one found, and stays there. Who shows no animation shows its end.
+    Time runs through an informative part. Camera 2 is shown an offset later, which is zero at
+    first, then moves to the estimate, and stays there. Without animation the last picture shows.
     """
     answer = _estimated(chain, "tangency")
     n_before, n_moving, n_after = PICTURES
@@ -149,7 +149,7 @@ def alignment_animation(chain: Chain) -> bytes:
 
 
 class _Scene:
-    """Two views over two charts, in which a few parts move from picture to picture."""
+    """The figure of the animation: two views over two charts, a few parts of which move."""
 
     def __init__(self, answer: Answer) -> None:
         start_s, length_s = telling_stretch(answer)
@@ -207,7 +207,7 @@ class _Scene:
         return image, line, gap
 
     def picture(self, time_s: float, offset_s: float) -> Image.Image:
-        """Draw all at a time of camera 1's clock; camera 2 is looked at an offset later."""
+        """Draw the picture at a time of camera 1's clock; camera 2 is shown an offset later."""
         answer, at_s = self._answer, (time_s, time_s + offset_s)
         p1, p2 = (answer.paired.motions[k].at(np.array([at_s[k]])).positions_px[0] for k in (0, 1))
         lines = epipolar_lines_1(self._F, p2), epipolar_lines_1(self._F.T, p1)
@@ -235,7 +235,7 @@ class _Scene:
 
 
 def _estimated(chain: Chain, method: str) -> Answer:
-    """Give an answer that figures can be drawn from."""
+    """Return the answer of a method; SsacError if its status is not "ok"."""
     answer = chain.answer(method)
     estimate = answer.estimate
     if estimate.status != "ok":
@@ -244,7 +244,7 @@ def _estimated(chain: Chain, method: str) -> Answer:
 
 
 def d_avg_figure(chain: Chain) -> Figure:
-    """Draw Fig. 5: d_avg, with the pose known or not, of a pair whose clocks are equal."""
+    """Draw Fig. 5: d_avg over the offset, for known and unknown pose, of a pair of equal clocks."""
     views, rig = chain.views(), chain.rig.pair(0, 1)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     figure = Figure(figsize=(WIDTH_IN, 3.3), layout="constrained")
@@ -277,7 +277,7 @@ def d_avg_figure(chain: Chain) -> Figure:
 
 
 def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> dict[str, Array]:
-    """Compute d_avg [px] with the true F (Algorithm 1) and with one fitted at each offset (2)."""
+    """Compute d_avg [px] with the given F (Algorithm 1), and with F fitted at each offset (2)."""
     config, pairs = views.config, views.pairs(offsets_s)
     min_pairs = config.rules.search.min_pairs
     fitted = np.full(len(offsets_s), np.nan)

@@ -1,10 +1,10 @@
-"""Looks that figures share.
+"""Colours, markers and layout that figures share.
 
-A colour stands for one thing. Those of methods are of Okabe and Ito's set, which stays apart for
-colour-blind people, and those of polarities are in `ssac.pipeline.plots`; what is none of these is
-grey, or has one of the colours below. A method that is given the extrinsics has its sibling's
-colour and a half-filled marker; a hollow one is of a mean over what was not refused.
-Matplotlib is imported when a figure is drawn: studies are listed without it.
+A colour stands for one thing. Methods have those of Okabe and Ito's set, which colour-blind people
+can tell apart; those of polarities are in `ssac.pipeline.plots`; all else is grey, or has one of
+the colours below. A method that is given the extrinsics has the colour of the one that is not, and
+a half-filled marker; a hollow marker is a mean that leaves refused runs out. Matplotlib is imported
+only when a figure is drawn: studies are listed without it.
 """
 
 from collections.abc import Sequence
@@ -21,19 +21,19 @@ else:
     Axes = Figure = Any
 
 WIDTH_IN = 8.0
-"""Of every figure; at DPI it is twice as wide as a README shows."""
+"""Width of every figure; at DPI it is twice as wide as a README shows."""
 
 ACCENT = "#6F4C9B"
-"""Of a line or a mark that is of no method; what it is held against is grey."""
+"""Colour of a line or marker that is of no method; what it is compared with is grey."""
 
 FILLS = ("#77AADD", "#EE8866", "#EEDD88", "#DDDDDD")
-"""Of bars that are of no method: P. Tol's light set."""
+"""Colours of bars that are of no method: P. Tol's light set."""
 
 _DURATIONS = {10.0: "#AA3377", 20.0: "#CCBB44"}
 _ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
 
 Named = tuple[str, dict[str, Any]]
-"""Words and look of an entry of a legend."""
+"""Text and look of an entry of a legend."""
 
 PAPER: dict[str, Any] = {"marker": "*", "ls": ":", "ms": 9}
 """Look of the paper's mean, in the colour of its method."""
@@ -86,9 +86,9 @@ def method_looks(methods: list[str]) -> dict[str, Look]:
 
 
 def value_color(name: str, value: Any, place: float) -> Any:
-    """Give a parameter's value its colour: angles and durations have fixed ones.
+    """Return the colour of a parameter's value; angles and durations have fixed ones.
 
-    Others have theirs by their place, from 0 to 1, among the values that are shown.
+    The colour of any other value depends on its place, from 0 to 1, among those that are shown.
     """
     from matplotlib import colormaps
 
@@ -108,7 +108,7 @@ def mark_survivors(
     side: int = 1,
     **look: Any,
 ) -> None:
-    """Draw means hollow that are not over all runs; on a side, -1 or 1, over how many they are."""
+    """Draw means that leave runs out hollow, with their number of runs left (-1) or right (1)."""
     from matplotlib.patheffects import withStroke
 
     for place, mean, n, of in np.broadcast(x, means, answered, runs):
@@ -116,12 +116,12 @@ def mark_survivors(
             axes.plot(place, mean, **{**look, "mfc": "white", "ls": "none", "zorder": 5})
             at: dict[str, Any] = {"xytext": (2.0 * side, 4.0), "textcoords": "offset points"}
             at |= {"ha": "left" if side > 0 else "right", "zorder": 9}
-            halo = withStroke(linewidth=2.0, foreground="white")  # before what lies below it
+            halo = withStroke(linewidth=2.0, foreground="white")  # sets it off from what lies below
             axes.annotate(f"{n:.0f}", (place, mean), fontsize=7, path_effects=[halo], **at)
 
 
 def label_log_axis(axis: Any, least: int = 3) -> None:
-    """Write plain numbers on a logarithmic axis, at least so many within what it shows."""
+    """Label a logarithmic axis with plain numbers, if possible at least `least` in view."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     low, high = axis.get_view_interval()
@@ -138,7 +138,7 @@ def label_log_axis(axis: Any, least: int = 3) -> None:
 
 
 def quiet_axes(axes: Axes) -> None:
-    """Leave only what is read: light horizontal lines, and no frame above and on the right."""
+    """Draw light horizontal grid lines, and no frame above and on the right."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="y", color="0.9", lw=0.6)
     axes.set_axisbelow(True)
@@ -148,7 +148,7 @@ def quiet_axes(axes: Axes) -> None:
 def panels(
     title: str, height_in: float, rows: int = 1, columns: int = 1, **shared: Any
 ) -> tuple[Figure, NDArray[Any]]:
-    """Make a figure, which says what it shows, and its axes (rows, columns)."""
+    """Make a figure with a title, and its axes (rows, columns)."""
     from matplotlib import figure
 
     made = figure.Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
@@ -160,7 +160,7 @@ def panels(
 
 
 def legend_outside(figure: Figure, ncols: int, marks: Sequence[Named] = (), **more: Any) -> None:
-    """Name what is drawn below all axes: some marks, or what the first axes have."""
+    """Put a legend below all axes, of `marks`, or else of what the first axes have."""
     from matplotlib.lines import Line2D
 
     looks = ((text, {"color": "0.3", **look}) for text, look in marks)

@@ -25,7 +25,7 @@ FILES = (
     "figures",
     "bench",
 )
-"""In the order in which they are listed and checked."""
+"""Modules of studies, in the order in which these are listed and checked."""
 
 
 @cache

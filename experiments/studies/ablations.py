@@ -2,7 +2,7 @@
 
 An ablation is a grid in `experiments/configs/` whose name begins with `ablation_`: one parameter is
 varied at a time, to see how far each method's mean errors move with it. All methods and points of a
-grid see the same flights. Of a user's own grid docs/sweeps.md says what the columns are.
+grid see the same flights. docs/sweeps.md describes the columns of a user's own grid.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -65,7 +65,7 @@ def largest_with_noise(results: Results) -> str:
 
 
 def marks_with_noise(_: Results) -> str:
-    """Say what these are to be at most."""
+    """Give the marks that `largest_with_noise` is not to exceed."""
     return ", ".join(f"{mark:g} {error.unit}" for error, mark in NOISY_MARKS.items())
 
 
@@ -79,7 +79,7 @@ _NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
 
 
 def ablation_study(grid: GridConfig, command: str = "") -> Study:
-    """Make the study of a grid that shows mean errors, drawn if its TOML says how."""
+    """Make the study of a grid's mean errors, with a figure if its TOML describes one."""
     name, runs = grid.name, f"{grid.name}_runs"
     makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
     if grid.figure is not None:
@@ -112,7 +112,7 @@ def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> 
 def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
     """Sum up the runs at each point of a grid, by method, as docs/sweeps.md says.
 
-    Of each error of the answered runs there are mean, its 95 % interval (Student's t) and median.
+    Each error of the answered runs has its mean with a 95 % interval (Student's t), and its median.
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
 
 
 def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
-    """Draw the mean errors with their intervals against the first number that varies."""
+    """Draw the mean errors with their intervals against the first numeric parameter that varies."""
     drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
     numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
     x = numbers[0] if numbers else "method"

@@ -33,18 +33,18 @@ from ssac.estimate import Status
 
 _TOOK = ("wall_s", "cpu_s", "peak_mb")
 
-SHORT_EVENTS = 15e6  # a camera, about: larger points are left out of a short run
+SHORT_EVENTS = 15e6  # of a camera, about; a short run leaves out larger points
 
 MARK_EXPONENT = 1.1
 MARKS_S = {SIMULATE: 600.0, SYNCHRONISE: 60.0}  # of the largest point
 MARK_PEAK_MB = 6000.0  # of the same
-MIN_MARKED_EVENTS = 50e6  # that the largest point has, to be held against these
+MIN_MARKED_EVENTS = 50e6  # of the largest point, from which the marks apply
 
 Extent = Literal["full", "short"]
-"""How far the growth is followed."""
+"""Up to which size of recordings the growth is measured."""
 
 COMMITTED: dict[str, Extent] = {"growth": "full"}
-"""How far `results/` go; the rest takes as long again as the short run of `make bench`."""
+"""Extent of `results/`; what it adds takes as long as the short run of `make bench`."""
 
 Growth = Annotated[
     Extent, typer.Option(help="Largest pair: 50 million events per camera (full), or 10 (short).")
@@ -63,7 +63,7 @@ def growth_cells(growth: Growth = "short") -> list[StepCell]:
 
 
 def growth_table(rows: pd.DataFrame, _: Results) -> pd.DataFrame:
-    """Say of each step how many events its recording has, and why it was not measured."""
+    """Fill in the events of each step's recording, and why a step was not measured."""
     failed = rows["reason"].fillna("").astype(str) != ""
     status = rows["status"].mask(failed, "not measured (" + rows["reason"].astype(str) + ")")
     return rows.assign(events_per_camera=rows["events_per_camera"].ffill(), status=status)
@@ -101,11 +101,11 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     for (sensor, step), of_step in table.groupby(["sensor", "step"], sort=False):
         if len(of_step) < 2:
             continue
-        # What others take meanwhile is not in `cpu_s`; what start-up takes hides few events.
+        # `cpu_s` leaves out other processes; the memory of start-up hides that of few events.
         grows = {"time": "cpu_s"} | ({"memory": "peak_mb"} if sensor == POINTS[-1].sensor else {})
         for what, column in grows.items():
             logarithms = np.log(of_step["events_per_camera"]), np.log(of_step[column])
-            slope = float(np.polyfit(*logarithms, 1)[0])  # what does not grow makes it smaller
+            slope = float(np.polyfit(*logarithms, 1)[0])  # constant parts make it smaller
             name = f"growth, {sensor}: {step}, {what} over events"
             rows.append(Measurement(name, slope, "exponent", MARK_EXPONENT))
     most, name = table["events_per_camera"].max(), "growth, largest pair"
@@ -161,7 +161,7 @@ def _draw_guide(axes: Axes, measured: pd.DataFrame, column: str) -> None:
 
 
 def bench_faults(results: Results) -> Iterator[str]:
-    """Check what was measured, which cannot be made again, and what follows from it."""
+    """Check the measured values, which cannot be reproduced, and the rows that follow from them."""
     table = results.table("bench").fillna({"verdict": ""})
     for row in records(table):
         verdict = row.pop("verdict")
@@ -198,7 +198,7 @@ def page_table(results: Results) -> str:
 
 
 def minutes(results: Results, what: str, decimals: int) -> str:
-    """Say how long all recordings of the tables take two workers."""
+    """Give the minutes that two workers take for all recordings of the tables."""
     row = f"tables, {what}: all, 2 workers"
     return f"{results.value('bench', 'value', name=row) / 60:.{decimals}f}"
 

@@ -30,23 +30,23 @@ METHODS = ("joint", "tangency", "joint-known", "tangency-known")
 
 MARK = 0.93  # intervals of 95 % shall hold the truth in at least this share of the flights
 LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
-SAMPLING = 0.95  # of the interval around an observed share, for the number of runs
+SAMPLING = 0.95  # confidence of the interval of an observed share
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is covered or not."""
+    """An estimated quantity whose stated intervals are checked."""
 
     column: str  # of the runs: error over its deviation, or a Mahalanobis distance
     parameters: int
     label: str = ""  # of its panel in the figure; "": none
 
     def normalised(self, runs: pd.DataFrame) -> Array:
-        """Values over the runs that are "ok" and give it."""
+        """Return the column's values of the runs that are "ok" and have one."""
         return np.asarray(answered(runs)[self.column].dropna(), dtype=np.float64)
 
     def levels(self, runs: pd.DataFrame) -> Array:
-        """Levels (n,) of runs, as of `confidence`; NaN for those that do not give it."""
+        """Return `confidence` (n,) of all runs; NaN for those without a value."""
         return confidence(runs[self.column].to_numpy(np.float64), self.parameters)
 
 
@@ -60,11 +60,10 @@ QUANTITIES = {
 
 
 def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Shares of the runs whose intervals hold the truth, by method, quantity and angle.
+    """Return the shares of runs whose intervals hold the truth, by method, quantity and angle.
 
-    All angles ("all") come first. Refused runs (not "ok") are counted, and count no further;
-    `rms_normalised` is 1 if the deviations are right; each level has the bounds of its share that
-    the number of runs leaves (Clopper and Pearson, 95 %).
+    All angles ("all") come first. Refused runs (not "ok") are counted, but enter no share. If the
+    deviations are right, `rms_normalised` is 1. Shares have bounds (Clopper and Pearson, 95 %).
     """
     runs = _with_clocks(runs)
     angles = {"all": runs, **{f"{deg:g}": part for deg, part in runs.groupby("sim.angle_deg")}}
@@ -95,22 +94,23 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
 
 
 def confidence(normalised: Array, parameters: int) -> Array:
-    """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
+    """Return the level (n,) of the interval or region on whose border the truth lies.
 
-    Of errors (n,) over their deviations, or Mahalanobis distances of so many parameters.
+    `normalised` (n,) are errors over deviations, or Mahalanobis distances of so many parameters;
+    levels are uniform if the deviations are right.
     """
     return np.asarray(chi2.cdf(np.square(normalised), parameters))
 
 
 @cache
 def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
-    """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
+    """Return Clopper and Pearson's bounds of a share that is observed as `n_inside` of `n_runs`."""
     bounds = binomtest(n_inside, n_runs).proportion_ci(SAMPLING)
     return float(bounds.low), float(bounds.high)
 
 
 def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
-    """Add the errors of t_d, signed, and of the skew over their stated deviations."""
+    """Add the signed error of t_d and the absolute one of the skew, over their deviations."""
     errors_ms = runs["t_d_estimate_ms"] - 1e3 * runs["sim.t_d_s"]
     return runs.assign(
         t_d_normalised=errors_ms / runs["t_d_std_ms"],
@@ -151,7 +151,7 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
 
 
 def page_table(results: Results) -> str:
-    """Shares of the truths in the 95 % intervals, over all angles."""
+    """Lay out the shares of 95 % intervals that hold the truth, over all angles."""
     rows = []
     for method in METHODS:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")

@@ -1,24 +1,24 @@
 """How near methods come to the Cramer-Rao bound of the tables' flights.
 
-What is measured is the bound of each flight and method, the least errors that an unbiased estimate
-can have; the errors beside it are those of results/runs.csv. The efficiency is the bound's root
-mean square over the flights over that of the errors.
+The study computes the bound of each flight and method, the least errors of an unbiased estimate;
+the errors beside it are those of results/runs.csv. The efficiency is the root mean square of the
+bound over the flights, divided by that of the errors.
 
-The bound is that of positions with independent Gaussian noise, of one standard deviation in all
-four coordinates of a pair. The object's unknown positions are eliminated: a pair tells of offset
-and pose only by how far it is from p2' F p1 = 0, in units of the gradient of that product, so the
-information is the sum of J_i J_i' / noise_i^2, J_i being the derivative of the Sampson distance.
+The bound assumes positions with independent Gaussian noise, of one standard deviation in all four
+coordinates of a pair. The object's unknown positions are eliminated: a pair constrains offset and
+pose only by its residual p2' F p1, in units of the gradient of that product, so the information is
+the sum of J_i J_i' / noise_i^2, J_i being the derivative of the Sampson distance.
 
 The positions are those of the true track of the drone's origin at the sample times that are valid
-in the recording; for tangents it stands for the points where they touch, whose bound is 1 to 6 %
+in the recording; for tangents the origin stands for the points of contact, whose bound is 1 to 6 %
 lower. Sigma is the robust standard deviation (1.4826 times the median absolute value) of the
-weighed Sampson distances of the method's own samples under the true offset and pose, and the noise
+weighted Sampson distances of the method's own samples under the true offset and pose, and the noise
 of a sample is sigma over its weight, whose median is 1.
 
-An efficiency below one has three causes: neighbouring samples' errors, mostly a bias that turns
+An efficiency below one has three causes: errors of neighbouring samples, mostly a bias that turns
 with the object, correlate by 0.7 to 0.85, and the bound takes them as independent; errors far
-beyond the median count little in a robust deviation; and a loss that bears these turns early. One
-above one is chance: over ten flights a root mean square is uncertain by a fifth.
+beyond the median count little in a robust deviation; and a loss that tolerates them turns early. An
+efficiency above one is chance: over ten flights a root mean square is uncertain by a fifth.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -54,7 +54,7 @@ from ssac.methods.tangency import tangent_times, tangents_under
 from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews
 
-Flown = tuple[TwoViews, FlightTruth]  # a flight as the methods see it, and as it was
+Flown = tuple[TwoViews, FlightTruth]  # the views that methods are given, and the ground truth
 FLIGHT = ("duration_s", "angle_deg", "flight", "method")  # columns that name a bound
 CELL = ("duration_s", "angle_deg", "t_d_ms", "method")
 
@@ -137,12 +137,12 @@ def summary(results: Results) -> pd.DataFrame:
 
 # --- The bound ---
 
-_MAX_CONDITION = 1e14  # of the information; beyond it a parameter is not seen at all
+_MAX_CONDITION = 1e14  # of the information; beyond it a parameter is unobservable
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Least root mean square errors; infinite for what the motion does not tell."""
+    """Least root mean square errors; infinite if the motion leaves a parameter unobservable."""
 
     t_d_s: float
     R_rad: float  # of the angle of R_est' R_true; 0 when the pose is known
@@ -150,7 +150,7 @@ class Bound:
 
 
 def cramer_rao_bound(information: Array) -> Bound:
-    """Bound when offset and pose are unknown, of an information (6, 6)."""
+    """Return the bound for unknown offset and pose, from the Fisher information (6, 6)."""
     if not np.linalg.cond(information) < _MAX_CONDITION:
         return Bound(np.inf, np.inf, np.inf)
     variances = np.diag(np.linalg.inv(information))
@@ -159,7 +159,7 @@ def cramer_rao_bound(information: Array) -> Bound:
 
 
 def known_pose_bound(information: Array) -> Bound:
-    """Bound of the offset when the pose is known."""
+    """Return the bound of the offset for a known pose, from the same information."""
     with np.errstate(divide="ignore"):
         return Bound(float(1.0 / np.sqrt(information[0, 0])), 0.0, 0.0)
 
@@ -173,11 +173,11 @@ def fisher_information(
     rig: Rig,
     noise_px: float | Array,
 ) -> Array:
-    """Sum up what n pairs tell of t_d [s] and the five small changes [rad] of the pose: (6, 6).
+    """Return the Fisher information (6, 6) of n pairs on t_d [s] and five pose changes [rad].
 
     Pairs (n, 2) are true positions, undistorted, at the same instants, with the true image velocity
     of p2, and x2 = R x1 + t with |t| = 1; of the rig only the intrinsics count. The noise of each
-    coordinate is one for all pairs, or (n,).
+    coordinate is one number for all pairs, or (n,).
     """
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = fundamental_from_pose(K1, K2, R, t)
@@ -188,7 +188,7 @@ def fisher_information(
 
 
 def seen(truth: FlightTruth, camera: int, K: Array, times_s: Array) -> tuple[Array, Array]:
-    """Undistorted image positions [px] and velocities [px/s] of the drone's origin: (n, 2)."""
+    """Return undistorted positions [px], velocities [px/s] of the drone's origin, each (n, 2)."""
     T_C_W = truth.T_C_W[camera]
     to_image = K @ T_C_W[:3, :3]
     flight = CubicSpline(truth.times_s, truth.positions_m)
@@ -200,7 +200,7 @@ def seen(truth: FlightTruth, camera: int, K: Array, times_s: Array) -> tuple[Arr
 
 @dataclass(frozen=True)
 class MethodBound:
-    """What a method could reach at best on one recording."""
+    """The Cramer-Rao bound of a method on one recording, and the noise it is computed with."""
 
     sigma_px: float  # measured noise of a sample of median weight
     n_samples: int
@@ -225,7 +225,7 @@ def method_bound(
 
 
 def mean_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
-    """Sample as Algorithms 1 and 2 do, to which all samples are alike; velocities are not asked."""
+    """Sample as Algorithms 1 and 2 do, with weights of 1; the velocities are NaN."""
     pairs = views.pairs_at(t_d_s)
     unknown = np.full((len(pairs), 2), np.nan)
     return WeighedPairs(pairs.times_s, *pairs.points_px, unknown, np.ones(len(pairs)), t_d_s)
@@ -238,7 +238,7 @@ def sharp_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
 
 
 def tangent_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
-    """Sample as `tangency` does in its last round, if it has found the truth."""
+    """Sample as `tangency` does in its last round, under the true offset and pose."""
     parameters = Parameters(t_d_s, *known_pose(views.rig))
     return tangents_under(parameters, views, tangent_times(views, t_d_s))[0]
 
@@ -251,11 +251,11 @@ SAMPLES: Mapping[str, Callable[[TwoViews, float], WeighedPairs]] = {
     "tangency": tangent_samples,
     "tangency-known": tangent_samples,
 }
-"""Of each method that has a bound. The others do not look at positions, or do not use F."""
+"""Samples of the methods that have a bound. The others use no positions, or no F."""
 
 KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
 
-# Range over the cells of the bound of t_d over the error, for white noise.
+# Range over the cells of the efficiency of t_d, for white noise.
 _SHARE = partial(quoted_of, "efficiency", "t_d_efficiency", "{low:.0f} to {high:.0f} %", 100.0)
 
 STUDIES = (

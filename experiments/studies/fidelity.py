@@ -1,7 +1,7 @@
 """How true the default recordings are: the same flights against another rendering.
 
-`fidelity` compares with a far denser one: the flights 200, 201, ... of each duration at 90 deg.
-`renderers` compares the tables by either renderer: their first flights of each duration and angle.
+`fidelity` compares with a far denser one, on the flights 200, 201, ... of each duration at 90 deg.
+`renderers` compares both renderers, on the tables' first flights of each duration and angle.
 """
 
 from collections.abc import Sequence
@@ -32,11 +32,11 @@ from ssac.pipeline.chain import Chain
 SHARES = ("median_us", "p95_us", "spurious", "missing")
 METHOD_NAMES = ("ssac", "ssac-known", "joint", "tangency")
 DIFFERENCES = tuple(f"{name.replace('-', '_')}_t_d_difference_ms" for name in METHOD_NAMES)
-"""Columns of the methods' differences of t_d; in the means they have no signs."""
+"""Columns of the methods' differences of t_d; means are of their absolute values."""
 
 DENSER = 8  # times as many instants in the reference
 REFERENCE_LATTICE = Lattice(31, 1)  # 962 samples per pixel, none of them where ours are
-MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not the same: 1 px here
+MATCH_WINDOW_US = 5000  # events of a pixel and polarity further apart do not match: 1 px here
 
 FIRST_FLIGHT = 200
 N_FLIGHTS = {10.0: 10, 20.0: 10}  # flights of each duration [s]
@@ -45,7 +45,7 @@ MARKS_MS = {"ssac": 0.02, "joint": 0.02, "tangency": 0.015}
 """The mean absolute difference of t_d from the dense reference is to be at most this."""
 
 RENDERER_TOLERANCE_MS = 0.005
-"""The same between the renderers, for every method: half a digit of the paper's tables of t_d."""
+"""The same between the renderers, for every method: half a last digit of the paper's t_d."""
 
 T_D_S = 0.05
 
@@ -64,7 +64,7 @@ class FidelityCell(FlightCell):
 
 @dataclass(frozen=True)
 class FidelityRow(RunRow):
-    """How events and offsets differ from the reference's, by pixel and polarity.
+    """How events, matched by pixel and polarity, and offsets differ from the reference's.
 
     Numbers and shares are the mean of both cameras.
     """
@@ -81,7 +81,7 @@ class FidelityRow(RunRow):
 
 
 def reference_config(config: SimConfig) -> SimConfig:
-    """Return the same scene, far denser in time and samples: OpenGL cannot check as many."""
+    """Return the same scene, far denser in time and samples; OpenGL cannot check as many."""
     step_px, rate_hz = config.sampling.max_step_px, config.sampling.min_rate_hz
     sampling = SamplingConfig(max_step_px=step_px / DENSER, min_rate_hz=rate_hz * DENSER)
     render = replace(config.render, lattice=REFERENCE_LATTICE, check=False)
@@ -135,7 +135,7 @@ def _sort_by_pixel(events: NDArray[Any]) -> tuple[IntArray, IntArray]:
 def _match(
     pixel_a: IntArray, t_a: IntArray, pixel_b: IntArray, t_b: IntArray, window_us: int
 ) -> IntArray:
-    """Walk along both, pixel by pixel and in order of time; return distances of pairs [us]."""
+    """Match two sorted lists by pixel and time; return the time differences of matches [us]."""
     differences = np.empty(min(t_a.size, t_b.size), np.int64)
     i = j = n = 0
     while i < t_a.size and j < t_b.size:

@@ -1,7 +1,7 @@
 """The paper's Fig. 3 to 5, and how two cameras' views come together, each of one recording.
 
-`ssac figures` draws them, and those of all studies that follow from the CSVs, whose runs it leaves
-as they are. A picture is the same bytes whenever it is made from the same runs and recordings.
+`ssac figures` draws them, and the figures of all studies that follow from the CSVs; it runs no
+study. The same runs and recordings give a picture of the same bytes.
 """
 
 import time
@@ -39,18 +39,18 @@ NOISY_FLIGHT = SimConfig(
     sensor=PRESETS["davis346"],
     frames=FrameConfig(rate_hz=0.0),
 )
-"""One with a sensor's noise, so that denoising has something to do."""
+"""A flight with a sensor's noise, so that denoising has something to do."""
 
 SEED = flight_seed(20.0, 90.0, 0)
 NOISY_SEED = flight_seed(10.0, 90.0, 0)
-"""Of these flights: each is the first of its duration and angle."""
+"""Seeds of these flights, each the first of its duration and angle."""
 
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 ALIGNED_T_D_S = 0.3  # of the animation: the views come together over many of its pictures
 
 
 def _of(name: str, function: str, t_d_s: float, flight: Flight) -> Made:
-    """Declare a figure: a function of `drawing.events`, the offset that is added, the recording."""
+    """Declare a figure that a function of `drawing.events` draws of a flight with an offset."""
 
     def draw(_: Results, folder: Path) -> Figure | bytes:
         from experiments.drawing import events
@@ -81,7 +81,7 @@ def drawings() -> dict[str, Made]:
 
 
 def config(some: Sequence[Made] = _OF_RECORDINGS) -> dict[str, Any]:
-    """Give what figures of recordings are made with, for their provenance."""
+    """Return the configuration of figures of recordings, for their provenance."""
     flown = {one.file.removesuffix(".png"): sim for one in some for sim, _ in one.filmed()}
     return {"figures": list(flown), "recordings": flown, "flight": 0}
 
@@ -113,7 +113,7 @@ def figures_command(
         typer.echo(f"written to {out / made.file}")
     written = [out / made.file for made in chosen.values()]
     filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
-    if filmed:  # of the others, studies have it
+    if filmed:  # studies write the provenance of the others
         line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
         content = provenance(line, config(filmed), took_s, context_or_none())
         write_provenance(out / "figures.png", content)

@@ -1,8 +1,8 @@
 """How often the stated intervals hold on imperfect recordings, kind by kind.
 
 Kinds of one scene are made of the same flight. Flight 31000 + 30 k + i is the i-th of the k-th
-round: of no table and of no other study, and no threshold was set on them. The angles change from
-flight to flight.
+round: these are in no table and no other study, and no threshold was set on them. The angles change
+from flight to flight.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ from ssac.pipeline.registry import METHODS
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
 N_ROUNDS = 3  # of all kinds, on new flights: 162 recordings, 648 runs
 N_ORDINARY = 2
-"""Ordinary flights of a round, each of which has all their kinds; of the other scenes one."""
+"""Ordinary flights of a round, each with all ordinary kinds; other scenes have one flight."""
 
 FIRST_FLIGHT, ROUND_STEP = 31_000, 30
 OTHER_FLIGHT = 20  # added to the number, for the flight of the second object
 
-SKEW_STD_PPM = 50.0  # of clocks that run by oscillators: the prior of the methods
+SKEW_STD_PPM = 50.0  # of clocks with oscillators; also the prior of the methods
 _TYPICAL = DisturbConfig(noise_hz=1.0, hot_clusters=2, intrinsics_error=GOOD)
 _ALL = DisturbConfig(
     lamp_px=6, hot_clusters=5, noise_hz=1.0, branches=100_000, people=1, second_object=0.1,
@@ -85,7 +85,7 @@ ALL = "all"  # kind of the rows of the summary over all kinds
 
 @dataclass(frozen=True)
 class ImperfectRow(RunRow):
-    """What was said, and its errors over their stated deviations; NaN for what is not given."""
+    """An answer, its errors, and these over their stated deviations; NaN for what is not given."""
 
     offset_given: bool = False
     pose_given: bool = False
@@ -122,7 +122,7 @@ def imperfect_cells() -> list[KindCell]:
 
 
 def load_flown(cells: Sequence[KindCell], cache: Cache) -> Flown:
-    """Name the flight, whose clocks show the same, and the other one."""
+    """Give the flight, with equal clocks, and the other one; each is loaded when it is needed."""
     sim = replace(cells[0].sim, t_d_s=0.0)
     return Flown(partial(recorded_pair, cache, sim), cells[0].seed, cells[0].other_seed)
 
@@ -143,19 +143,19 @@ def imperfect_row(cell: KindCell, flown: Flown) -> ImperfectRow:
 
 
 def truth_of(flown: Flown, kind: Kind, duration_s: float) -> Truth:
-    """Give what is true of a recording of a kind."""
+    """Return the ground truth of a recording of a kind."""
     pose = known_pose(flown.flight.rig)
     return Truth(T_D_S, *pose, kind.skew_of(flown.seed), 0.5 * duration_s)
 
 
 def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
-    """Score what is given: an offset, and a pose that was found."""
+    """Return the scores of an offset that is given, and of a pose that was estimated."""
     pose_given = estimate.status == "ok" and not METHODS[estimate.method].needs_extrinsics
     columns = kept(ImperfectRow, scored(estimate, truth, pose_given))
     if not estimate.has_offset:
         columns = {name: columns[name] for name in columns if not name.startswith(("t_d", "skew"))}
     elif not columns["skew_std_ppm"]:
-        columns["skew_std_ppm"] = np.nan  # it was not looked for
+        columns["skew_std_ppm"] = np.nan  # the skew was not estimated
     given = {"offset_given": estimate.has_offset, "pose_given": pose_given}
     return columns | given | {"true_skew_ppm": truth.skew_ppm}
 
@@ -163,8 +163,8 @@ def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Count what was answered, what held, and what was confidently wrong, by kind and method.
 
-    All kinds together come first. Answers have an offset; `_held` is a share of what is given with
-    a deviation.
+    All kinds together come first. Runs with an offset are answered; `<name>_held` is the share of
+    the stated intervals that hold the truth.
     """
     kinds = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
     rows = [
@@ -184,7 +184,7 @@ def _counts(runs: pd.DataFrame) -> dict[str, Any]:
 def held_shares(
     runs: pd.DataFrame, quantities: Mapping[str, Quantity]
 ) -> tuple[dict[str, float], Mask]:
-    """Count `<name>_given`, of which `<name>_held` is a share, and tell the wrong, as `held`."""
+    """Return what `held` does, but `<name>_held` as a share of `<name>_given`."""
     counts, wrong = held(runs, quantities)
     for name in quantities:
         n_given = counts[f"{name}_given"]
@@ -201,7 +201,7 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], Mask]:
-    """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong."""
+    """Count `<name>_given` and `<name>_held` of quantities; mark confidently wrong runs (n,)."""
     counts, wrong = dict[str, float](), np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
         levels = quantity.levels(runs)

@@ -1,11 +1,11 @@
 """Many cameras round one flight, all solved at once: errors of four, and growth with eight.
 
-Rows of one flight of four event cameras and kind share one solution. Kinds are `as_recorded`, and
-`true_tracks`: the images of the drone's origin in place of the events, so that one sees what the
-tracks cost. Flights are those of no other table; what `ssac.network` does was tuned on none.
+The four cameras of a flight share one solution for each kind. Kinds are `as_recorded`, and
+`true_tracks`: the images of the drone's origin in place of the events, which shows the errors that
+the tracks cause. The flights are in no other table, and `ssac.network` was tuned on none of them.
 
-Time and memory grow with the flight that eight frame cameras see, of which there are tracks alone.
-Each is solved as `ssac sync` of its files does it, in a process of its own on one core.
+The growth of time and memory is measured on tracks of ever longer flights before eight frame
+cameras. Each is solved as `ssac sync` of its files does, in a process of its own on one core.
 """
 
 import time
@@ -57,7 +57,7 @@ from ssac.points import PointTrack
 COMMAND = "ssac network"
 
 T_D_S = (0.0, 0.05, -0.23, 0.41)
-"""By how much each clock shows more than the first; added where events are written."""
+"""Offset of each clock from the first, added when events or tracks are written."""
 
 N_CAMERAS = len(T_D_S)
 ANGLE_DEG = 60.0  # from each camera to the next, on a half circle
@@ -66,7 +66,7 @@ FIRST_SEED = 78_000  # those from 73,000 to 77,003 were looked at
 AS_RECORDED, TRUE_TRACKS = "as_recorded", "true_tracks"
 KINDS = (AS_RECORDED, TRUE_TRACKS)
 
-_ARM_ROUNDS = 40  # of the similarity and the lever arm in turn
+_ARM_ROUNDS = 40  # in which similarity and lever arm are fitted in turn
 
 _HELD = {name.lower(): QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
 """Quantities whose regions of 95 % are counted."""
@@ -87,7 +87,7 @@ class FourCameras(ManyCameras):
 
 @dataclass(frozen=True)
 class CameraCell(FlightCell):
-    """One camera of a flight; of the first, whose clock and frame the others go by, the path."""
+    """One camera of a flight; the row of the first, the reference, is about the path."""
 
     kind: str  # of KINDS
     camera: int  # from 1 on
@@ -95,7 +95,7 @@ class CameraCell(FlightCell):
 
 @dataclass(frozen=True)
 class CameraRow(PlacedRow):
-    """Errors and stated deviations of a camera, or, of the first, of the path."""
+    """Errors and stated deviations of a camera's clock and pose, or, for the first, of the path."""
 
     t_d_normalised: float = np.nan
     skew_normalised: float = np.nan
@@ -105,14 +105,14 @@ class CameraRow(PlacedRow):
     path_median_mm: float = np.nan
     path_max_mm: float = np.nan
     path_point_rmse_mm: float = np.nan  # likewise, of the point fixed in the body that fits best
-    path_std_mm: float = np.nan  # stated, as `path_rmse_mm`
+    path_std_mm: float = np.nan  # stated deviation, root mean square
     path_held: float = np.nan  # share of the coordinates' intervals of 95 % that hold the truth
-    path_seen: float = np.nan  # share of the flight
+    path_seen: float = np.nan  # share of the flight that the path covers
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight's files, and what was found of each kind so far."""
+    """A flight's files and truth, and the answers of the kinds that are solved so far."""
 
     folder: Path
     truth: FlightTruth
@@ -156,7 +156,7 @@ def solved(kind: str, flown: Flown) -> NetworkAnswer:
 
 
 def _written(work: Path, kind: str, k: int, flown: Flown) -> Path:
-    """Write what a camera saw, by its own clock."""
+    """Write a camera's events or true track on its own clock; return the file."""
     clock = Clock(T_D_S[k])
     if kind == TRUE_TRACKS:
         file = work / f"cam{k + 1}.csv"
@@ -197,7 +197,7 @@ def _mahalanobis(off: Array, covariance: Array) -> float:
 
 
 def _path_figures(answer: NetworkAnswer, truth: FlightTruth) -> dict[str, Any]:
-    """Compare the path, laid over the truth at equal times by a similarity."""
+    """Compare the path with the truth at equal times, aligned by a similarity."""
     path = answer.paths[0].path
     true_m = np.column_stack(
         [np.interp(path.times_s, truth.times_s, axis) for axis in truth.positions_m.T]
@@ -221,7 +221,7 @@ def _path_figures(answer: NetworkAnswer, truth: FlightTruth) -> dict[str, Any]:
 
 
 def path_off_best_point_m(path: SpacePath, true_m: Array, truth: FlightTruth) -> float:
-    """Rms distance [m] of the path from the point, fixed in the body, that it fits best."""
+    """Return the rms distance [m] of the path from the body-fixed point that it fits best."""
     nearest = np.minimum(np.searchsorted(truth.times_s, path.times_s), len(truth.times_s) - 1)
     turns = Rotation.from_quat(truth.quaternions[nearest])
     arm_m, off_m = np.zeros(3), np.zeros_like(true_m)
@@ -236,7 +236,7 @@ def path_off_best_point_m(path: SpacePath, true_m: Array, truth: FlightTruth) ->
 def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up the flights by kind: means of all that was measured, and the largest of the errors.
 
-    Of those `told`, all cameras but the first, `_held` counts the regions of 95 % that hold.
+    `told` counts the answered cameras but the first, `_held` how many of their regions hold.
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
@@ -287,7 +287,7 @@ _SEED = 74_000
 _SHORT_S = 20.0
 _TOOK = ("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb")
 _GROWN_ERRORS = ("t_d_error_ms", "path_rmse_m")
-_OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks, at most and as a deviation
+_OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks: largest offset, deviation of skews
 _SPLINE = SplineConfig(
     sampling_hz=1.0,
     segments_per_s=1.0,
@@ -307,7 +307,7 @@ class GrowthCell(PlainCell):
 
 @dataclass(frozen=True)
 class GrowthRow(RunRow):
-    """What a flight took, the largest error of a clock, and the path's."""
+    """Time and memory for a flight, the largest error of a clock, and the error of the path."""
 
     points: float = np.nan
     wall_s: float = np.nan
@@ -346,7 +346,7 @@ def growth_row(cell: GrowthCell, _: object) -> GrowthRow:
 
 
 def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Clock]]:
-    """Write the rig and tracks of a flight, projections with noise; give files and true clocks."""
+    """Write the rig and noisy tracks of a flight; return the tracks' files and true clocks."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng([_SEED, 1])
     rig, flight = _rig(), _flight(duration_s)
@@ -388,7 +388,7 @@ def _rig() -> Rig:
 
 
 def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dict[str, Any]:
-    """Give the largest error of a clock, and the path's in the first camera's frame."""
+    """Return the largest error of a clock, and the path's rms error in camera 1's frame."""
     errors_s = [
         camera.t_d_s - (float(clock.cam2_from_cam1(camera.t_ref_s)) - camera.t_ref_s)
         for camera, clock in zip(found.network.cameras, clocks, strict=True)
@@ -424,7 +424,7 @@ FOUR = (
         config={"n_flights": N_FLIGHTS, "first_seed": FIRST_SEED, "angle_deg": ANGLE_DEG,
                 "t_d_s": T_D_S, "kinds": KINDS,
                 "sim": {name: value for name, value in plain(FourCameras()).items()
-                        if name != "n_cameras"}},  # which `t_d_s` has
+                        if name != "n_cameras"}},  # which `t_d_s` implies
         command=COMMAND,
     ),
 )  # fmt: skip

@@ -1,12 +1,12 @@
 """The paper's outdoor experiment, simulated: one flight, seven ways to know part of its truth.
 
-Two DAVIS346 with 8 mm lenses 20 m apart, and a third 20 m further on; a drone of 0.5 m some 15 to
-60 m away, whose path RTK tells. The third camera is the second of another recording of the same
-flight. Clouds drift behind; what they make each camera see is added to what it recorded before an
-even sky.
+Two DAVIS346 with 8 mm lenses stand 20 m apart, and a third 20 m further on; a drone of 0.5 m flies
+some 15 to 60 m away, and RTK measures its path. The third camera is the second of another recording
+of the same flight. Clouds drift behind; their events are added to those that each camera recorded
+before an even sky.
 
-Each kind of two cameras takes one thing from the truth, so that one sees what it costs not to know
-it. In the last two nothing is known, and all is adjusted at once, with a third camera or without.
+The kinds of two cameras differ in what is taken from the truth, which shows what it costs not to
+know it. In the last two nothing is known, and all is adjusted jointly, without or with camera 3.
 """
 
 from collections.abc import Sequence
@@ -68,16 +68,16 @@ FOCAL_PX = 432.0  # 8 mm over pixels of 18.5 um
 CLOUDS_PX_S = 6.0  # 8 m/s at a height of 600 m
 
 FOCAL_STD, CENTRE_STD_PX = 0.001, 0.3
-"""Errors of the calibration: those of a good one, as estimators assume where a rig says none."""
+"""Deviations of a good calibration's errors, which estimators assume where a rig states none."""
 
 LEVER_ARM_M = (0.05, 0.0, 0.12)  # RTK's antenna in the body: forward, left, up
 _RTK_HZ = 5.0
 _RTK_STD_M = (0.01, 0.01, 0.02)
-_RTK_CLOCK = Clock(18.4, 5.0)  # as camera 1 sees it
+_RTK_CLOCK = Clock(18.4, 5.0)  # beside camera 1's
 FIRST_SEED = 76_000  # nothing was chosen on these; those from 71,000 on were looked at
 _STREAM = 97  # of what is drawn beside the recording
 _BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
-_OF_TRUTH = 4  # truth's samples, at 200 Hz, from one of a true track to the next
+_OF_TRUTH = 4  # a true track has one in so many of the truth's samples, at 200 Hz
 
 N_FLIGHTS = 10
 TWO_AT_ONCE, THREE_CAMERAS = "two_at_once", "three_cameras"
@@ -99,7 +99,7 @@ Third = Annotated[
 
 @dataclass(frozen=True)
 class OutdoorCell(PlainCell):
-    """One way to know part of the truth of a flight."""
+    """One kind of estimate of a flight."""
 
     flight: int
     kind: str  # of KINDS
@@ -112,13 +112,13 @@ class OutdoorCell(PlainCell):
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
-        """That of cameras 1 and 2, and that of cameras 1 and 3 if there is a third."""
+        """The recording of cameras 1 and 2, and of cameras 1 and 3 if there is a third."""
         thirds = (third_config(self.config),) if self.kind == THREE_CAMERAS else ()
         return tuple((config, seed_of(self.flight)) for config in (self.config, *thirds))
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns that say which it is."""
+        """Columns that say which run it is."""
         return {"flight": self.flight, "kind": self.kind}
 
 
@@ -137,7 +137,7 @@ class PlacedRow(RunRow):
 
 @dataclass(frozen=True)
 class OutdoorRow(PlacedRow):
-    """Those of camera 2, and the path beside RTK."""
+    """Errors and deviations of camera 2, and errors of the path by RTK."""
 
     t_std_deg: float = np.nan
     rmse_m: float = np.nan  # at equal times
@@ -166,7 +166,7 @@ def load_outdoor(cells: Sequence[OutdoorCell], cache: Cache) -> tuple[Path, ...]
 
 
 def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
-    """Find clocks, pose and path in the way of the cell, and compare them with the truth."""
+    """Find clocks, pose and path as the cell's kind says, and compare them with the truth."""
     truths, path = truths_of(folders), None
     truth = truths[0]
     found: Estimate | CameraAnswer
@@ -248,9 +248,9 @@ def estimated(
 
 
 def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
-    """Triangulate both tracks, smoothed, in camera 1's frame; None of too few points before both.
+    """Triangulate a smoothed path in camera 1's frame; None of too few points before both cameras.
 
-    Rays that miss each other by far more than others do, at their depth, are of no one point.
+    Pairs of rays that miss each other, for their depth, by far more than the median are left out.
     """
     estimate, rig = found.estimate, found.rig
     views = found.views.under(estimate.clock)
@@ -300,7 +300,7 @@ def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
-    """Name what the figure is drawn of."""
+    """Return the recording of which the figure is drawn."""
     return ((outdoor_config(duration), seed_of(0)),)
 
 
@@ -373,7 +373,7 @@ def outdoor_config(duration_s: float = DURATION_S) -> SimConfig:
 
 
 def third_config(config: SimConfig) -> SimConfig:
-    """Give the set-up of the first camera and the third, which is as far from the second as it."""
+    """Give the set-up of cameras 1 and 3; camera 2 is as far from the one as from the other."""
     return replace(
         config, angle_deg=2.0 * config.angle_deg, t_d_s=THIRD_T_D_S, skew_ppm=THIRD_SKEW_PPM
     )
@@ -385,13 +385,13 @@ def seed_of(flight: int) -> int:
 
 
 def rtk_of(truth: FlightTruth, flight: int) -> SpacePath:
-    """Give what RTK says: noise of a centimetre or two, a clock and an antenna of its own."""
+    """Simulate RTK: its antenna's path on its own clock, with noise of a centimetre or two."""
     rng = np.random.default_rng([_STREAM, seed_of(flight), 0])
     first_s, last_s = _RTK_CLOCK.cam2_from_cam1(truth.times_s[[0, -1]])
     even_s: Array = np.arange(first_s, last_s, 1.0 / _RTK_HZ)
     nearest = np.searchsorted(truth.times_s, _RTK_CLOCK.cam1_from_cam2(even_s))
     nearest = np.minimum(nearest, len(truth.times_s) - 1)
-    shown_s = _RTK_CLOCK.cam2_from_cam1(truth.times_s[nearest])  # even but for the truth's 5 ms
+    shown_s = _RTK_CLOCK.cam2_from_cam1(truth.times_s[nearest])  # evenly spaced to the truth's 5 ms
     turns = Rotation.from_quat(truth.quaternions[nearest])
     antenna_m = truth.positions_m[nearest] + turns.apply(LEVER_ARM_M)
     noise_m = rng.normal(0.0, _RTK_STD_M, antenna_m.shape)
@@ -411,7 +411,7 @@ def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
 
 
 def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
-    """Write a rig as the estimator is given it; intrinsics that differ are a calibration's."""
+    """Write the estimator's rig; if the cameras' intrinsics differ, they are a calibration's."""
     exact = all(camera == cameras[0] for camera in cameras)
     names = ("focal_px", "resolution", "principal_point")
     chain: dict[str, Any] = {}
@@ -427,14 +427,14 @@ def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
 def write_events(
     work: Path, folders: tuple[Path, ...], truths: tuple[FlightTruth, ...], flight: int
 ) -> list[Path]:
-    """Write all cameras' events of the drone, with clouds behind, by their own clocks.
+    """Write the events of the drone before clouds in all cameras, on their own clocks.
 
-    Each recording's second camera is one of them; the first is the same in all.
+    The first camera is the same in all recordings; each recording's second is one more.
     """
     files = [work / f"cam{k + 1}.h5" for k in range(len(folders) + 1)]
     for k, file in enumerate(files):
         folder, truth = folders[max(k - 1, 0)], truths[max(k - 1, 0)]
-        clock = truth.clock  # of which the recording has the skew
+        clock = truth.clock  # the recording has its skew, but not its offset
         source, ppm, shown = "cam1.h5", 0.0, Clock()
         if k:
             source, ppm, shown = "cam2.h5", clock.skew_ppm, Clock(-clock.t_d_s)
@@ -448,7 +448,7 @@ def write_events(
 def drone_events(
     file: Path, flight: int, camera: int, skew_ppm: float, t_ref_s: float, duration_s: float
 ) -> EventFile:
-    """Give what a camera, from 0 on, saw of the drone before clouds, as its clock runs."""
+    """Extract the drone's events from those of drone and clouds in a camera, from 0 on."""
     recorded = load_events(file)
     width, height = recorded.width, recorded.height
     assert width is not None  # our own files have both

@@ -1,12 +1,12 @@
 """The paper's physical set-up by its twin: its tables, what each fault costs, and unequal light.
 
 The tables (`mini_10`, `mini_20`) have ten recordings of each angle and duration, and all of an
-angle are of one set-up with one calibration, as in the paper: what that errs by, all cells of the
-angle share. In the `error_budget` each recording has a set-up and a calibration of its own, so that
-a mean is what one may expect of a bench; all kinds of a recording share its motion.
+angle are of one set-up with one calibration, as in the paper: all cells of an angle share the
+calibration's errors. In the `error_budget` each recording has its own set-up and calibration, so
+that a mean is what one may expect of a bench; all kinds of a recording share its motion.
 
-`light_latency`: a pixel in less light answers later. No geometry tells that from a clock that shows
-more, but it is not the same for both polarities, and changes its sign when the lights are swapped.
+`light_latency`: a pixel in less light responds later. No geometry tells this from an offset of the
+clock, but it differs between the polarities, and changes its sign when the lights are swapped.
 """
 
 from collections.abc import Iterable
@@ -151,10 +151,10 @@ TABLES = (
 
 
 BUDGET_RECORDINGS = 1
-"""Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a
-recording at 10 s."""
+"""Number of recordings of each angle; each has all kinds. 24 of the 34 kinds need a simulation of
+their own: half an hour a recording at 10 s."""
 
-BUDGET_FIRST = 20_000  # of no table
+BUDGET_FIRST = 20_000  # number of the first flight, which is in no table
 BUDGET_S = 10.0
 BUDGET_T_D_MS = 50.0
 ON_THE_PAGE = ("ssac", "tangency")
@@ -173,7 +173,7 @@ def budget_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell
 
 
 def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors by kind, angle and method, of what is answered; `t_d_bias_ms` has its sign."""
+    """Return mean errors of answered runs by kind, angle and method; `t_d_bias_ms` is signed."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok = answered(group)
@@ -189,7 +189,7 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def budget_figure(summary: pd.DataFrame) -> Figure:
-    """Draw mean errors with each imperfection alone (dot), all but it (cross), none and all."""
+    """Draw mean errors with one imperfection (dot), all but this one (cross), none and all."""
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
     height_in = 1.5 + 0.22 * len(places) * len(METHODS)
     n_runs = summary.groupby(["kind", "method"])["runs"].sum().max()
@@ -223,7 +223,7 @@ def budget_figure(summary: pd.DataFrame) -> Figure:
 
 
 def budget_page(results: Results) -> str:
-    """Lay t_d / R out over the angles, with nothing, each imperfection alone, and all of them."""
+    """Lay out mean errors of t_d / R over the angles, with none, one and all imperfections."""
     table = results.table("error_budget")
     means = [_budget_means(table, error.column) for error in (T_D_ERROR, R_ERROR)]
     kinds = {NONE: NONE, **{name: only(name) for name in IMPERFECTIONS}, ALL: ALL}
@@ -263,13 +263,13 @@ BUDGET = Study(
 
 
 LIGHT_RECORDINGS = 2  # each at all ratios, so that these differ in the light alone
-LIGHT_FIRST = 30_000  # of no table
+LIGHT_FIRST = 30_000  # number of the first flight, which is in no table
 LIGHT_S, LIGHT_ANGLE_DEG, LIGHT_T_D_MS = 6.0, 95.18, 50.0
 LIGHT_METHOD = "tangency"
 
 RATIOS = (0.03125, 0.125, 0.5, 1.0, 2.0, 8.0, 32.0)
-"""Of camera 2's light to camera 1's; together they have `ILLUMINANCE_LUX` in the geometric mean,
-so that a ratio and its inverse are the same cameras with their lights swapped."""
+"""Ratios of camera 2's light to camera 1's. The geometric mean of both is `ILLUMINANCE_LUX`, so
+that a ratio and its inverse are the same cameras with their lights swapped."""
 
 ILLUMINANCE_LUX = 100.0
 
@@ -277,7 +277,7 @@ POLARITIES = {"both": None, "on": 1, "off": 0}  # events that are used
 
 
 def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
-    """Give a bench whose photoreceptors are real ones, all else ideal, and whose lights differ."""
+    """Give a bench with real photoreceptors and unequal light, all else being ideal."""
     slow = bench.spoilt(bench.ideal(LIGHT_ANGLE_DEG, LIGHT_S, setup), ("low-pass", "latency"))
     lux = float(ILLUMINANCE_LUX / np.sqrt(ratio))
     lights = {"sim.effects.illuminance_lux": lux, "sim.effects.camera2_light": ratio}
@@ -297,7 +297,7 @@ def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Apparent offsets, found less the clocks'; `swapped_ms`: their mean with lights swapped."""
+    """Return apparent offsets, estimate less truth; `swapped_ms`: mean with lights swapped."""
     runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
 
     def row(group: pd.DataFrame) -> dict[str, float]:

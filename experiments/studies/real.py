@@ -1,7 +1,7 @@
 """Real cameras: what the method finds on public drone tracks, `ssac real`.
 
-The data are not ours to ship, so nothing can be made again here: what the tables say of each other
-is checked in its place.
+The data are not ours to ship, so the tables cannot be reproduced here; the checks compare them with
+each other instead.
 """
 
 import time
@@ -51,12 +51,12 @@ MVUS = {1: (0.050, 608), 2: (0.126, 793), 4: (0.535, 1572)}
 once and not by a command of ours; of data set 4 on the authors' automatic detections."""
 
 WITH_TRUTH, SHIFTED = 4, 1
-"""The data set with published clocks, and its camera that these put elsewhere."""
+"""The data set with published clocks, and its camera whose published clock disagrees with ours."""
 
 OFFSET_GIVEN = [str(status) for status in Status if status.has_offset]
-_LAST_DIGIT = 1e-5  # of a closure or stray, as a share: the tables have eight digits
-_KNOT_S = 1e-4  # likewise of a time
-_CLOSURE_MS = 0.01  # of offsets of 100 s with eight digits, and skews with as many
+_LAST_DIGIT = 1e-5  # relative tolerance of closures and strays: tables have eight digits
+_KNOT_S = 1e-4  # tolerance of the times between knots
+_CLOSURE_MS = 0.01  # tolerance of closures: offsets of 100 s and skews have eight digits
 _COLUMNS = 5  # of small axes, one for each pair
 
 
@@ -106,7 +106,7 @@ def real_command(
 
 
 def config() -> dict[str, Any]:
-    """Give what all pairs are made with, for provenance."""
+    """Return the configuration of all pairs, for provenance."""
     rates = {f"data set {number}, camera {k}": rate for (number, k), rate in UNKNOWN_RATES.items()}
     variable = [f"data set {number}, camera {k}" for number, k in sorted(VARIABLE_RATES)]
     roughnesses = {"cameras": variable, "roughnesses_ppm": tracks.ROUGHNESSES_PPM}
@@ -114,7 +114,7 @@ def config() -> dict[str, Any]:
 
 
 def real_figure(results: Results) -> Figure:
-    """Draw how far readouts move the offsets, and how far the clocks of frames wander."""
+    """Draw how far readouts move the offsets, and how far clocks stray from affine ones."""
     pairs, title = results.table(PAIRS), "Public videos: what shutters and clocks do to the offsets"
     strays = dict(list(results.table(STRAYS).groupby(KEY)))
     rows = 1 + max(1, -(-len(strays) // _COLUMNS))
@@ -226,7 +226,7 @@ def _stray_faults(results: Results) -> Iterator[str]:
         if len(knots) < 2 or np.ptp(np.diff(times_s)) > _KNOT_S:
             yield f"the knots of {key} are not several, evenly spaced"
             continue
-        # What strays is the rest beside the best affine clock: it has no mean and no slope.
+        # Strays are the residuals of the best affine clock: they have no mean and no slope.
         lever_s = times_s - times_s.mean()
         off_ms = max(abs(strays_ms.sum()), abs(lever_s @ strays_ms) / np.abs(lever_s).max())
         if off_ms > _LAST_DIGIT * np.abs(strays_ms).sum():
@@ -262,7 +262,7 @@ def largest_closure(results: Results, number: int) -> str:
 
 
 def largest_difference(results: Results, with_shifted: bool) -> str:
-    """Say how far pairs of constant rate are off the published clocks, with that camera or not."""
+    """Give how far pairs of constant rate are off the published clocks, with SHIFTED or not."""
     rows = _constant(results)
     if not with_shifted:
         rows = rows[(rows["camera_1"] != SHIFTED) & (rows["camera_2"] != SHIFTED)]
@@ -270,7 +270,7 @@ def largest_difference(results: Results, with_shifted: bool) -> str:
 
 
 def apart(results: Results) -> str:
-    """Say how far one camera's clock is off the published, by its pairs on average."""
+    """Give the mean difference of SHIFTED's clock from the published one over its pairs."""
     rows = _constant(results)
     from_first, from_second = (rows[rows[f"camera_{k}"] == SHIFTED] for k in (1, 2))
     off_ms = [*-from_first["from_truth_ms"], *from_second["from_truth_ms"]]
@@ -278,7 +278,7 @@ def apart(results: Results) -> str:
 
 
 def readouts_of(results: Results, camera: int) -> str:
-    """Range of the readouts that the pairs of a camera found, with the largest deviation."""
+    """Give the range of a camera's readouts over its pairs, and the largest stated deviation."""
     rows, found = results.rows(PAIRS, data_set=WITH_TRUTH), []
     for k in (1, 2):
         of_camera = rows[rows[f"camera_{k}"] == camera]
@@ -288,13 +288,13 @@ def readouts_of(results: Results, camera: int) -> str:
 
 
 def rate(results: Results, camera: int) -> str:
-    """Rate of a camera's clock by that of camera 0, which counts frames at a constant rate."""
+    """Give the rate of a camera's clock over camera 0's, which counts frames at a constant rate."""
     of = {"data_set": WITH_TRUTH, "camera_1": 0, "camera_2": camera}
     return f"{1.0 + PPM * results.value(PAIRS, 'skew_ppm', **of):.4f}"
 
 
 def strays_range(results: Results) -> str:
-    """Range of how far clocks of cameras of varying rates stray, of all their pairs."""
+    """Give the range of the largest strays of pairs with a camera of VARIABLE_RATES."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
     rows = rows[_varies(rows) & rows["status"].isin(OFFSET_GIVEN)]
     return f"{rows['most_stray_ms'].min():.0f} to {rows['most_stray_ms'].max():.0f} ms"
@@ -320,7 +320,7 @@ def pairs_table(results: Results) -> str:
 
 
 def paths_table(results: Results) -> str:
-    """Lay out how each path lies beside RTK, mvus' beside it."""
+    """Lay out the errors of each path by RTK, and beside them those of mvus."""
     paths = results.table(PATHS)
     off_ms, mvus = paths["most_from_truth_ms"], paths["data_set"].map(MVUS)
     off = off_ms.map(lambda ms: f"{ms:.0f} ms" if np.isfinite(ms) else "")
@@ -355,7 +355,7 @@ def _varies(rows: pd.DataFrame) -> "pd.Series[bool]":
 
 
 def _of_some(rows: pd.DataFrame, cameras: Container[tuple[int, int]]) -> "pd.Series[bool]":
-    """Whether a pair has one of some cameras, which are named by data set and number."""
+    """Return which pairs have one of some cameras, named by data set and number."""
     found = [any((number, k) in cameras for k in pair) for number, *pair in _keys(rows)]
     return pd.Series(found, index=rows.index)
 

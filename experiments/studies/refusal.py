@@ -1,14 +1,14 @@
 """What methods say of flights that leave something open, and whether they say why.
 
 A method may refuse, in whole or in part; what it must not do is to give a confident wrong answer.
-Flight 1000 + 100 k + i is the i-th of the k-th kind of flight: those of no table and of no other
+Flight 1000 + 100 k + i is the i-th of the k-th kind of flight: these are in no table and no other
 study, and no threshold was set on them. The angles change from flight to flight.
 
-What names a cause stands with it in `worlds.open_flights`. The advice is read from the reason: each
-phrase of ADVICE stands for one change of the recording or of what was asked. Of several in a
-reason, one after the other is tried, as by a user, until there is an answer, which must be right.
-Recording i of base b is flight 60,000 + 100 b + i: of no table and of no other study. Words and
-rules were settled on bases 1, 2 and 20.
+`worlds.open_flights` states for each cause which refusals name it. The advice is read from the
+reason: each phrase of ADVICE stands for one change of the recording or of the options. The phrases
+of a reason are tried in order, as by a user, until there is an answer, which must be right.
+Recording i of base b is flight 60,000 + 100 b + i, in no table and no other study. Words and rules
+were settled on bases 1, 2 and 20.
 """
 
 import re
@@ -46,12 +46,12 @@ OTHER_FLIGHT = 50_000  # added to the number, for the flight that only camera 2 
 
 MAX_SIGMAS = 5.0  # a larger error, with status "ok", is a confident wrong answer
 MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0  # the same for methods that state no deviation
-_LISTED_MS = 10.0  # a listed offset is the true one when it is as near
+_LISTED_MS = 10.0  # a listed offset counts as the true one if it is nearer
 
 
 @dataclass(frozen=True)
 class RefusalRow(RunRow):
-    """What was said, its errors, and whether it is a confident wrong answer."""
+    """An answer or refusal, its errors, and whether it is confidently wrong."""
 
     offset_given: bool = False
     pose_given: bool = False
@@ -63,7 +63,7 @@ class RefusalRow(RunRow):
     t_d_std_ms: float = np.nan
     r_std_deg: float = np.nan
     t_std_deg: float = np.nan
-    error_sigmas: float = np.nan  # the largest of what is given
+    error_sigmas: float = np.nan  # largest error over its deviation, of what is given
     confident_wrong: bool = False
 
 
@@ -93,7 +93,7 @@ def _made(cell: KindCell, cache: Cache) -> tuple[OpenCase, Chain]:
 
 
 def judged(estimate: Estimate, case: OpenCase) -> RefusalRow:
-    """Judge what was said."""
+    """Score an estimate, and judge whether it is confidently wrong."""
     gives_pose = not METHODS[estimate.method].needs_extrinsics and estimate.R is not None
     columns = scored(estimate, case.truth, gives_pose)
     pairs = [(columns["t_d_error_ms"], columns["t_d_std_ms"], MAX_ERROR_MS)]
@@ -150,7 +150,7 @@ def ordinary_answered(results: Results) -> str:
 # --- Whether refusals name their causes, and whether their advice works ---
 
 
-BASE = 61  # of which some choices were made, as of 62
+BASE = 61  # some choices were made on its recordings, and on those of 62
 N_RECORDINGS = 20  # of each cause
 REASONS_FIRST_FLIGHT, BASE_STEP = 60_000, 100
 ALL = "all"  # kind of the row over all causes
@@ -158,18 +158,18 @@ ALL = "all"  # kind of the row over all causes
 
 @dataclass(frozen=True)
 class ReasonRow(ImperfectRow):
-    """What was said, whether it is true, and what became of the advice."""
+    """An answer or refusal, whether it is right, and what became of the advice."""
 
-    is_right: bool = False  # all that is given
+    is_right: bool = False  # all that is given is right
     is_named: bool = False
-    advice: str = ""  # phrases of the reason
+    advice: str = ""  # its phrases in the reason
     works: bool = False
-    then: str = ""  # statuses when they were followed
+    then: str = ""  # statuses after each phrase was followed
 
 
 Follow = Callable[[Scene, OpenCase, Estimate], list[OpenCase]]
-"""Makes of a refused recording what the advice asks for, all of which must be answered rightly;
-nothing where the advice changes nothing of what is wrong with it."""
+"""Follows an advice on a refused recording: gives the new recordings, all of which must be answered
+rightly, or none where the advice does not mend what is wrong."""
 
 
 def _filmed(**fields: Any) -> Follow:
@@ -225,7 +225,7 @@ ADVICE: Mapping[str, Follow] = {
     "exchange them": lambda scene, case, estimate: [open_flights.exchanged(case)],
     "record one object": _mended("record one object"),
 }
-"""What phrases of reasons ask for."""
+"""What each phrase of advice in a reason asks for."""
 
 
 def reason_cells(
@@ -242,7 +242,7 @@ def reason_cells(
 
 
 def reason_row(cell: KindCell, cache: Cache) -> ReasonRow:
-    """Judge what is said of a recording, and of what its advice makes of it."""
+    """Judge the estimate of a recording, and those after following the advice of a refusal."""
     cause = CAUSES[cell.kind]
     scene = Scene(cause, cell, cache)
     case = scene.made()
@@ -261,7 +261,7 @@ def reason_row(cell: KindCell, cache: Cache) -> ReasonRow:
 
 
 def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
-    """Run the best method, or the cause's, and judge what it says."""
+    """Run the cause's method, or else the best one, and judge its estimate."""
     try:
         chain = case.chain
         estimate = chain.estimate(cause.method) if cause.method else chain.answer().estimate
@@ -274,11 +274,11 @@ def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
 
 
 def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Count by cause what was said, and what became of it.
+    """Count by cause the refusals and answers, and how often advice works.
 
-    `named` are refusals that are true, `right` and `wrong` what was answered in spite of the cause,
+    `named` are refusals that name the cause, `right` and `wrong` what was answered in spite of it,
     offsets without a pose among them. `advised` are refusals with an advice, and `works` those of
-    them that it mended.
+    them that following it mended.
     """
     causes = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
     return pd.DataFrame([{"kind": kind, **_counts(part)} for kind, part in causes.items()])
@@ -300,7 +300,7 @@ def _counts(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def share(results: Results, columns: Sequence[str], of: str) -> str:
-    """Give the share [%] over all causes of some counts in another one."""
+    """Give the sum of some counts as a share [%] of another count, over all causes."""
     row = results.one("reasons", kind=ALL)
     return f"{100 * sum(row[column] for column in columns) / row[of]:.0f}"
 

@@ -1,8 +1,8 @@
 """Recordings as they come, each kind beside what is required of `tangency`: the study `marks`.
 
-In three groups: what else fires or moves in view, what the clocks do, and what the rig file says of
-the cameras. Flight 40000 + 100 k + i is the i-th of the k-th scene: of no table and of no other
-study, and no threshold was set on them.
+The kinds form three groups: clutter in view, clocks that drift or jump, and wrong intrinsics.
+Flight 40000 + 100 k + i is the i-th of the k-th scene: these are in no table and no other study,
+and no threshold was set on them.
 """
 
 import re
@@ -32,12 +32,12 @@ from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
 
-METHOD = "tangency"  # what `ssac sync` takes unasked
+METHOD = "tangency"  # the default of `ssac sync`
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
 OTHER_FLIGHT = 50  # added to the number, for the other flight
 
 FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 20, "5 px, davis346": 3, "82 s": 2}
-"""Of each scene."""
+"""Number of flights of each scene."""
 
 FEW = 2  # flights of kinds with noise of 10 Hz/px: 18 M events a camera in 20 s
 
@@ -53,7 +53,7 @@ JUMP_AT_S = 8.0
 
 @dataclass(frozen=True)
 class Requirement:
-    """The largest errors that answers of a kind may have, and whether there may be none."""
+    """The largest errors that answers of a kind may have, and whether refusal is allowed or due."""
 
     t_d_ms: float = np.inf
     r_deg: float = np.inf
@@ -69,7 +69,7 @@ class Required:
     group: str
     kind: Kind
     requirement: Requirement | None = None
-    skew_prior_ppm: float | None = None  # of the method; None: its own
+    skew_prior_ppm: float | None = None  # that the method is given; None: its default
 
 
 _NEAR = Requirement(t_d_ms=0.3, may_refuse=True)
@@ -115,7 +115,7 @@ UNSTATED: Mapping[str, tuple[Errors, Errors]] = {
     f"centre {_ONE} 1 px right": ((0.0, 0.0, 1.0, 0.0), RIGHT),
     f"centre {_ONE} 1 px down": ((0.0, 0.0, 0.0, 1.0), RIGHT),
 }
-"""Errors that the rig file says nothing of, by what they are."""
+"""Errors of intrinsics that the rig file does not state, by a description."""
 
 
 KINDS: Mapping[str, Required] = {
@@ -147,7 +147,7 @@ KINDS: Mapping[str, Required] = {
     "drawn from 1 %, 3 px": _intrinsics(CARELESS),
     **{name: _intrinsics(errors=errors) for name, errors in UNSTATED.items()},
 }
-"""By name, group by group; kinds of one scene are made of the same flights."""
+"""Kinds by name, group by group; those of one scene are made of the same flights."""
 
 
 @dataclass(frozen=True)
@@ -164,14 +164,14 @@ class RequiredCell(spoilt.KindCell):
 
 @dataclass(frozen=True)
 class RequiredRow(imperfect.ImperfectRow):
-    """What was said, its errors, and what it took; NaN for what is not given."""
+    """An answer, its errors and its CPU time; NaN for what is not given."""
 
-    ends_error_ms: float = np.nan  # of the offset at both ends of the recording, the larger
-    ends_normalised: float = np.nan  # over its deviation, the larger of both
-    t_d_moved_ms: float = np.nan  # by the rig's errors: from what exact intrinsics give
+    ends_error_ms: float = np.nan  # larger error of the offset at the ends of the recording
+    ends_normalised: float = np.nan  # larger ratio of such an error to its deviation
+    t_d_moved_ms: float = np.nan  # from the estimate with exact intrinsics
     r_moved_deg: float = np.nan
     t_moved_deg: float = np.nan
-    jump_ms: float = np.nan  # that a clock is said to make
+    jump_ms: float = np.nan  # estimated size of the jump of a clock
     jump_at_s: float = np.nan  # camera 1's clock
     cpu_s: float = np.nan  # all but reading, on the machine that measured
 
@@ -216,7 +216,7 @@ def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:
 
 
 def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
-    """Give the larger error of the offset of a recording's ends, and over its deviation."""
+    """Return the larger error of the offset at both ends, plain and over its deviation."""
     if not estimate.has_offset:
         return {}
     ends_s = np.array([0.0, 2.0 * truth.t_mid_s])
@@ -228,7 +228,7 @@ def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
 
 
 def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
-    """Give how far t_d [ms], R and t [deg] are from what exact intrinsics give."""
+    """Return how far t_d [ms], R and t [deg] are from the estimate with exact intrinsics."""
 
     def exactly() -> Estimate:
         cam2 = flown.flight.cam2.delayed(T_D_S)
@@ -259,11 +259,11 @@ _MOVED = ("t_d_moved_ms", "r_moved_deg", "t_moved_deg")
 
 
 def required_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum the runs up by kind; `reached` is how many do as required (NaN: nothing is).
+    """Sum up the runs by kind; `reached` counts those that do as required (NaN: nothing is).
 
-    Of answers, which have an offset, there are the largest errors, medians of stated deviations,
-    how many of the regions of 95 % hold, and how many are over 3.5 deviations off; of all runs the
-    jumps that are told, how far wrong intrinsics move the estimate, and the time.
+    Runs with an offset give the largest errors, medians of stated deviations, how many regions of
+    95 % hold the truth, and how many runs are over 3.5 deviations off; all runs give the reported
+    jumps, how far wrong intrinsics move the estimate, and the CPU time.
     """
     rows = [
         {"group": one.group, "kind": name, **_summed(runs[runs["kind"] == name], one.requirement)}
@@ -279,7 +279,7 @@ def _summed(runs: pd.DataFrame, requirement: Requirement | None) -> dict[str, An
         row["reached"] = sum(meets(one, requirement) for one in records(runs))
     row |= statistics(given, _ERRORS, "most")
     row["t_d_error_ms_rms"] = np.sqrt((given["t_d_error_ms"] ** 2).mean())
-    row |= {name: given[name].dropna().median() for name in _STATED}  # of none without a warning
+    row |= {name: given[name].dropna().median() for name in _STATED}  # NaN if empty, unwarned
     counts, wrong = imperfect.held(runs, HELD)
     row |= counts | {"confident_wrong": int(wrong.sum())}
     for name in ("jump_ms", "jump_at_s"):
@@ -290,7 +290,7 @@ def _summed(runs: pd.DataFrame, requirement: Requirement | None) -> dict[str, An
 
 
 def meets(run: Mapping[str, Any], requirement: Requirement) -> bool:
-    """Whether a run does as required."""
+    """Return whether a run meets a requirement."""
     if not bool(run["offset_given"]):
         says_why = run["status"] != CRASHED and bool(run["reason"])
         return says_why and (requirement.may_refuse or requirement.must_refuse)

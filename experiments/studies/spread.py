@@ -1,7 +1,7 @@
 """How far an answer depends on the window: one's own recordings, without truth.
 
 Each method runs with half-windows and least numbers of events around the defaults. Where the answer
-moves by more than it says of itself, it rests on the choice of the window.
+moves by more than its stated deviation, it depends on the choice of the window.
 
     ssac study spread cam1.h5 cam2.h5 rig.yaml --out out
 """
@@ -98,7 +98,7 @@ def row(cell: SpreadCell, chain: Chain) -> SpreadRow:
 def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up the windows of each method, for each quantity that it gives.
 
-    `spread` is the root mean square from the mean over the windows, `most` the largest distance.
+    `spread` is the root mean square distance from the mean over the windows, `most` the largest.
     """
     rows = []
     for method, group in runs.groupby("method", sort=False):
@@ -115,7 +115,7 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
-    """Distances from the mean of each quantity that there is, and the median stated deviation."""
+    """Return distances from the mean and the median stated deviation, of each given quantity."""
     t_d = ok["t_d_ms"].to_numpy(np.float64)
     found = {"t_d_ms": (t_d - t_d.mean() if len(t_d) else t_d, ok["t_d_std_ms"].dropna().median())}
     posed = ok[ok["t_x"].notna()]

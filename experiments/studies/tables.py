@@ -26,9 +26,9 @@ from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
 SYMBOLS = {error.symbol: error for error in ERRORS.values()}
-"""The errors by what they are called in the names of numbers."""
+"""The errors by their symbols in the names of quoted numbers."""
 
-PUBLISHED = {  # of the quantities of comparison.csv
+PUBLISHED = {  # in names of quoted numbers, and as quantities of comparison.csv
     "ssac.t_d": "ssac_t_d_error_ms",
     "ssac.R": "ssac_r_error_deg",
     "ssac.t": "ssac_t_error_deg",
@@ -36,7 +36,7 @@ PUBLISHED = {  # of the quantities of comparison.csv
     "zncc_f.t_d": "zncc_f_t_d_error_ms",
 }
 
-_SEARCH_MS = 1000.0 + 20.0  # on each side of the truth, and a unit of the coarsest method
+_SEARCH_MS = 1000.0 + 20.0  # searched on each side of the truth, and a unit of the coarsest method
 
 
 def cells(renderer: RendererOption = "native", check: CheckOption = True) -> list[Cell]:
@@ -69,7 +69,7 @@ def _read(text: str) -> pd.DataFrame:
 
 
 def comparison(results: Results) -> pd.DataFrame:
-    """Compare the tables of all flights, and of the first as many as the paper's, with its own."""
+    """Compare the paper's tables with ours of all flights, and of the first as many as it has."""
     return _compared(results.text("runs.csv"))
 
 
@@ -108,7 +108,7 @@ def _poses_at_times(results: Results) -> list[str]:
 
 
 def _none(what: str, is_one: Callable[[pd.DataFrame], "pd.Series[bool]"]) -> Check:
-    """Declare that no run is one of some."""
+    """Declare a check that no run fulfils a condition."""
 
     def faults(results: Results) -> list[str]:
         runs = results.table("runs")
@@ -151,7 +151,7 @@ def paper_size(results: Results) -> str:
 
 
 def ratio(results: Results, form: str, quantity: str, duration_s: float) -> str:
-    """Ours over the paper's, of geometric means over the cells of a table, or its interval."""
+    """Give the ratio of our geometric mean over a table's cells to the paper's, or its interval."""
     row = results.one("comparison_summary", quantity=quantity, duration_s=duration_s)
     return form.format(**row, low=row["ratio"] / row["factor"], high=row["ratio"] * row["factor"])
 
@@ -175,7 +175,7 @@ def largest(results: Results, symbol: str) -> str:
 
 
 def share_of_papers(results: Results, symbol: str) -> str:
-    """Say what part of mean errors of the paper's SSAC `tangency` has, and at most in a cell."""
+    """Give the mean error of `tangency` over that of the paper's SSAC, and its most in a cell."""
     cell = ["duration_s", "angle_deg", "t_d_ms"]
     rows = results.rows("comparison", quantity=PUBLISHED[f"ssac.{symbol}"])
     papers = rows.set_index(cell)["published_mean"]
@@ -191,13 +191,13 @@ def tables_answered(results: Results) -> str:
 
 
 def methods_table(results: Results) -> str:
-    """Mean errors of every method, the range over the cells of each table."""
+    """Lay out the range of each method's mean errors over the cells of both tables."""
     rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
         ranges = []
         for error in (quantity.column for quantity in SYMBOLS.values()):
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
-            # of methods with the pose known, that of R and t is the pose they were given
+            # R and t of methods with a known pose are those that they were given
             is_given = method.endswith("-known") and error != esim.T_D_ERROR.column
             means = np.array(cell_means(results, method, error) if has_it and not is_given else [])
             known = means[np.isfinite(means)]

@@ -1,10 +1,10 @@
 """Variants of the method `tangency`, and what limits it (docs/tangency.md).
 
-All variants start from one refinement. To see what limits the method, parts of what it finds are
-put right in turn: truth takes the place of the outline's tangents that the events tell, of how fast
-these move, of the body's point, and of the pose; and both clocks are said to run alike, as they do.
+All variants start from the joint refinement. To see what limits the method, the truth replaces
+parts of its estimate in turn: the tangents to the outline, their velocities, the point of the body,
+and the pose; or the method is told that the clocks have no relative skew, as is true.
 
-All see the same flights, 100 to 105 of 10 s at each angle, which are of no table, so that nothing
+All see the same flights, 100 to 105 of 10 s at each angle, which are in no table, so that nothing
 is tuned on what is reported there.
 """
 
@@ -52,9 +52,9 @@ FLOWN = {
     "angles_deg": ANGLES_DEG,
     "t_d_s": T_D_S,
 }
-"""Which flights these are, as provenance says it."""
+"""The flights, as provenance states them."""
 
-JOINT = "joint"  # the refinement from which all variants start, beside them
+JOINT = "joint"  # row of the refinement from which all variants start
 _WORST = f"{T_D_ERROR.column}_worst"
 
 
@@ -113,11 +113,11 @@ class VariantRow(ErrorRow):
     """Errors of a variant."""
 
     t_d_bias_ms: float = np.nan  # the error with its sign
-    normalised: float = np.nan  # that over its stated deviation
+    normalised: float = np.nan  # this error over its stated deviation
 
 
 def flights() -> Iterator[tuple[SimConfig, int, int]]:
-    """Give what is simulated, the flight's number and its seed, of each flight."""
+    """Yield the configuration, the number and the seed of each flight."""
     spline = replace(SimConfig().spline, duration_s=DURATION_S)
     base = SimConfig(t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0))
     for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG):
@@ -132,7 +132,7 @@ def variant_cells() -> list[VariantCell]:
 
 
 def load_started(cells: Sequence[VariantCell], cache: Cache) -> tuple[Estimate, TwoViews, Rig]:
-    """Run the joint refinement on a flight: where the variants part."""
+    """Run the joint refinement on a flight, from which all variants start."""
     cam1, cam2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
     answer = Chain((cam1, cam2), rig).answer("joint")
     return answer.estimate, answer.views, rig
@@ -150,7 +150,7 @@ def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> V
 
 
 def mean_errors(group: pd.DataFrame) -> dict[str, Any]:
-    """Give the mean errors of some runs, and how many have none."""
+    """Return the mean errors of the runs that are "ok", and how many are not."""
     good = answered(group)
     return {"runs": len(group), "failed": len(group) - len(good), **good[list(ERRORS)].mean()}
 
@@ -171,7 +171,7 @@ def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def study_figure(means: pd.DataFrame) -> Figure:
-    """Draw the variants' mean errors: t_d's at the worst angle as a tick, the method's in black."""
+    """Draw mean errors of the variants; the method is black, t_d at the worst angle a tick."""
     variants = means[means["variant"] != JOINT]
     own = method_looks(["tangency"])["tangency"].color
     colors = np.where(variants["variant"] == AS_IT_IS, own, "0.65")
@@ -187,7 +187,7 @@ def study_figure(means: pd.DataFrame) -> Figure:
 
 
 def error_bars(title: str, height_in: float, means: pd.DataFrame, of: str, color: Any) -> Figure:
-    """Draw mean errors as bars, named by a column, those of the method as it is as a line."""
+    """Draw mean errors as bars, labelled by a column; lines show those of the method as it is."""
     title = f"{title}: mean errors of {means['runs'].max()} flights"
     figure, (axes,) = panels(title, height_in, columns=len(ERRORS), sharey=True)
     lines = np.arange(len(means))
@@ -212,22 +212,22 @@ _STEP_S = 0.01  # of the images of the body's point
 
 @dataclass(frozen=True)
 class CauseCell(FlightCell):
-    """A flight, and what is put right of what is found in it."""
+    """A flight, and the part of the estimate that the truth replaces."""
 
     cause: str
 
 
 @dataclass(frozen=True, eq=False)
 class Filmed:
-    """What was filmed, as one of its cameras has it."""
+    """The true scene, and one of the cameras that film it."""
 
     scene: Scene
     camera: int  # from 0 on
     as_stated: Camera
-    later_s: float  # what its clock shows more than the scene's
+    later_s: float  # by which the camera's clock is ahead of the scene's
 
     def images(self, times_s: Array, points_B_m: Array) -> Array:
-        """Project points (m, 3) of the drone at rest at times (n,) of the own clock: (n, m, 2)."""
+        """Project body-frame points (m, 3) at times (n,) of the camera's clock: (n, m, 2) [px]."""
         flight = self.scene.trajectory
         poses = flight.poses(np.clip(times_s - self.later_s, 0.0, flight.duration_s))
         points_W_m = points_B_m @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
@@ -235,11 +235,11 @@ class Filmed:
         return np.asarray(images_px, np.float64)
 
     def tangents(self, pencil: Pencil, times_s: Array) -> list[tuple[Array, Array]]:
-        """Give where the upper and the lower tangent touch, and how fast each moves: (n, 2)."""
+        """Return points of contact and velocities (n, 2) of the upper and the lower tangent."""
         vertices = np.concatenate([part.vertices_B_m for part in self.scene.drone.parts])
         images = self.images(times_s, vertices)
         angles = pencil.angles(images.reshape(-1, 2)).reshape(images.shape[:2])
-        # Without jumps, from vertex to vertex and from time to time.
+        # The angles are unwrapped from vertex to vertex, and over time.
         angles = np.asarray(np.unwrap(angles, axis=1), np.float64)
         angles += (np.unwrap(angles[:, 0]) - angles[:, 0])[:, None]
         found, every = [], np.arange(len(times_s))
@@ -251,7 +251,7 @@ class Filmed:
         return found
 
     def point(self) -> PointMotion:
-        """Follow the image of the drone's origin."""
+        """Return the motion of the image of the drone's origin."""
         lasting_s = self.scene.trajectory.duration_s
         times_s = self.later_s + np.arange(0.0, lasting_s, _STEP_S, dtype=np.float64)
         points_px = self.images(times_s, np.zeros((1, 3)))[:, 0]
@@ -268,8 +268,8 @@ class FilmedPair(NamedTuple):
     filmed: tuple[Filmed, Filmed]
 
     def instead(self, cause: str) -> dict[str, Any]:
-        """Give what stands in the place of functions of `ssac.methods.tangency`, by their names."""
-        turns = cycle(self.filmed)  # camera 1 is asked about first, then camera 2
+        """Return replacements of functions of `ssac.methods.tangency`, by name."""
+        turns = cycle(self.filmed)  # `tangents` is called for camera 1, then for camera 2
 
         def right(*found_of: Any) -> list[Tangents]:
             _, _, pencil, times_s, _ = found_of
@@ -289,12 +289,12 @@ class FilmedPair(NamedTuple):
 
 
 def cause_cells() -> list[CauseCell]:
-    """List all that is put right, on each flight."""
+    """List each of CAUSES on each flight."""
     return [CauseCell(*one, cause) for one in flights() for cause in CAUSES]
 
 
 def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
-    """Load a recording, and build anew what was filmed."""
+    """Load a recording, and rebuild its scene."""
     sim, seed = cells[0].sim, cells[0].seed
     pair, scene = recorded_pair(cache, sim, seed), sim.scene(seed)
     one, other = Filmed(scene, 0, pair.rig.cam1, 0.0), Filmed(scene, 1, pair.rig.cam2, sim.t_d_s)
@@ -302,7 +302,7 @@ def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
 
 
 def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
-    """Run `tangency` with some truth, and score what it gives."""
+    """Run `tangency` with the truth in place of a part, and score its estimate."""
     (cam1, cam2, rig), cause = filmed_pair.pair, cell.cause
     config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
     method = "tangency-known" if cause == POSE else "tangency"
@@ -312,14 +312,14 @@ def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
 
 
 def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the errors that are left, and by which share of t_d's each truth lessens it."""
+    """Sum up the remaining errors, and the share of t_d's error that each truth removes."""
     table = by_group(runs, ("cause",), mean_errors)
     whole_ms = float(table.loc[table["cause"] == AS_IT_IS, T_D_ERROR.column].iloc[0])
     return table.assign(share_of_t_d=1.0 - table[T_D_ERROR.column] / whole_ms)
 
 
 def cause_figure(table: pd.DataFrame) -> Figure:
-    """Draw the mean errors that are left, those of the method as it is as a line."""
+    """Draw the remaining mean errors, and those of the method as it is as a line."""
     figure = error_bars("What is left of tangency's errors", 3.6, table, "cause", "0.65")
     figure.axes[0].invert_yaxis()
     for axes in figure.axes:  # some are too small for a bar to be seen

@@ -1,1 +1,1 @@
-"""What several studies film: kinds of flights and what spoils their recordings."""
+"""Recordings that several studies share: flights, what spoils them, and public tracks."""

@@ -1,10 +1,10 @@
-"""The paper's small-scale bench as a twin, with no, one, all or all but one imperfection.
+"""The twin of the paper's small-scale bench, with no, one, all or all but one imperfection.
 
-Each imperfection is one entry of IMPERFECTIONS, and takes what it changes from the preset of the
-camera that the paper used, so that the ideal bench and the real one differ in nothing else.
+Each entry of IMPERFECTIONS changes some fields of a `SetUp`, most of them to the values of the
+preset of the paper's camera, so that the ideal bench and the real one differ in nothing else.
 
-The flights are simulated and kept as any others. What the room adds, and the calibration, are drawn
-when they are loaded, so that kinds that differ in these alone share a recording.
+Flights are simulated and cached as any others. The room's events and the calibration are drawn when
+a recording is loaded, so that kinds that differ in these alone share it.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -51,12 +51,12 @@ LIGHT_STD = 0.1  # of the logarithm of a room's light within a recording
 SHADOW = 0.3  # share of the light that a hand's shadow takes
 WIRE_M = 1e-4  # a hair, or the finest fishing line
 FLICKER_DEPTH = 0.05  # of lamps at the mains that pass for steady ones
-FRAME_GAP_S = 0.006  # of 5 to 25 ms: with 10, `ssac` errs by twice the paper's t_d
+FRAME_GAP_S = 0.006  # of 5 to 25 ms: with 10, `ssac`'s error of t_d is twice the paper's
 CAMERA2_LIGHT = 0.7  # apertures that were set by eye: half a stop
 
-# A quarter of other studies' samples a pixel, and steps as long as ESIM's: half the time. Of the
-# real bench, whose lens blurs by 0.5 px, the events change by some per cent in number (1 to 2.6 on
-# trials); of an ideal one by 4, at edges that light what another edge is about to cover.
+# A quarter of other studies' samples per pixel, and steps as long as ESIM's, halve the run time.
+# They change the number of events by 1 to 2.6 % on trials of the real bench, whose lens blurs by
+# 0.5 px, and by 4 % on an ideal one, at edges that light what another edge is about to cover.
 RENDER = RenderConfig(lattice=Lattice(8, 1), check=False)
 SAMPLING = SamplingConfig(max_step_px=0.5)
 
@@ -74,18 +74,18 @@ _INTRINSICS_STREAM, _POSE_STREAM = 50, 51
 
 @dataclass(frozen=True)
 class SetUp:
-    """All that a recording, and what is known of the bench, depend on, but for seeds."""
+    """All that a recording and the known rig of a bench depend on, except seeds."""
 
     sim: TwinConfig
     room: RoomConfig = field(default_factory=RoomConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
-    is_calibrated: bool = False  # the intrinsics are a calibration's; else the true ones
-    is_truth_calibrated: bool = False  # and so is the pose that errors are measured against
+    is_calibrated: bool = False  # the known intrinsics are a calibration's; else the true ones
+    is_truth_calibrated: bool = False  # errors are measured against a calibrated pose
     polarity: int | None = None  # of the events that are used: 1 or 0; None: both
 
 
 def _preset(*names: str) -> dict[str, Any]:
-    """Take some of the preset's fields."""
+    """Return some of the preset's fields, named as fields of a `SetUp`."""
     return {f"sim.{name}": attrgetter(name)(PRESET) for name in names}
 
 
@@ -120,7 +120,7 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
     "intrinsics": {"is_calibrated": True},
     "truth": {"is_truth_calibrated": True},
 }  # fmt: skip
-"""By name: the fields of a `SetUp` that the ideal bench has otherwise."""
+"""By name: the fields of a `SetUp` that differ from the ideal bench, with their values."""
 
 
 def only(name: str) -> str:
@@ -139,7 +139,7 @@ KINDS: Mapping[str, Collection[str]] = {
     **{all_but(name): [one for one in IMPERFECTIONS if one != name] for name in IMPERFECTIONS},
     ALL: IMPERFECTIONS,
 }
-"""Of benches, of the error budget: the imperfections of each."""
+"""Kinds of benches in the error budget, by name: the imperfections of each."""
 
 
 def ideal(angle_deg: float, duration_s: float, setup_seed: int) -> SetUp:
@@ -171,7 +171,7 @@ def spoilt(bench: SetUp, names: Iterable[str]) -> SetUp:
 
 @dataclass(frozen=True)
 class PhysicalCell(Cell):
-    """A method on one kind of recording of one flight; its `parameters` are its columns."""
+    """A method on one kind of recording of one flight; its `parameters` are columns of its row."""
 
     bench: SetUp  # whose `sim` is the cell's
 
@@ -182,7 +182,7 @@ class PhysicalCell(Cell):
 
 
 def setup_seed(angle_deg: float, number: int) -> int:
-    """Seed of a set-up, number 0 of which is that of the tables at an angle."""
+    """Return the seed of a set-up at an angle; number 0 is that of the tables."""
     return flight_seed(0.0, angle_deg, number, _SETUP_SEEDS)
 
 
@@ -225,9 +225,9 @@ PHYSICAL = Measure(load_physical, physical_row, Row)
 
 @lru_cache(32)
 def known_rig(bench: SetUp) -> Rig:
-    """Give what is known of a bench: the intrinsics, and the pose that errors are measured against.
+    """Return the known rig of a bench: intrinsics, and the pose that errors are measured against.
 
-    What is not calibrated is the truth. A calibration is its set-up's: all recordings share it.
+    Both are true unless a calibration gives them, which all recordings of a set-up share.
     """
     sim, config, rig = bench.sim, bench.calibration, bench_rig(bench.sim)
     cameras = [
@@ -248,7 +248,7 @@ def known_rig(bench: SetUp) -> Rig:
 
 
 def _recorded(cell: PhysicalCell, pair: Pair) -> Chain:
-    """Make of a recording what the bench's cameras saw."""
+    """Add the room's events to a recording, and select those that the method is given."""
     bench, cameras = cell.bench, []
     filmed = None
     if bench.room != RoomConfig():

@@ -1,11 +1,11 @@
-"""Flights that leave the offset or the pose open, and recordings that cannot be answered.
+"""Flights that leave the offset or the pose undetermined, and recordings that cannot be solved.
 
-The drone turns as in ordinary flights, but four times as fast where its path alone makes too few
-events to matter.
+The drone rotates as in ordinary flights, but four times as fast where its path alone makes too few
+events.
 
-A cause says what the drone does, how long, what spoils the recording and what would mend it; the
-angle and all that is drawn are given by the cell. Flights are simulated where events matter; else
-they are projected, as tracks of points in a camera and another one of other intrinsics.
+A `Cause` says how the drone flies, for how long, what spoils the recording and which advice mends
+it; the cell gives the angle and the seeds of all draws. Where events matter, a flight is simulated;
+else its path is projected to noisy point tracks in two cameras of different intrinsics.
 """
 
 from collections.abc import Callable
@@ -47,7 +47,7 @@ _OUTSIDE_S = 3.0  # an offset that the search interval does not hold
 _SHORT_S = 0.6
 _PATH_STREAM = 7  # of the seed
 _PACES = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}
-"""How fast the drone turns, beside ordinary flights; of "slow" also how fast it flies."""
+"""Factors on the rates of rotation of ordinary flights, and for "slow" also on their speed."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ class OpenCase:
     cam2: Observation
     rig: Rig  # with the true extrinsics
     config: Config
-    truth: Truth  # its offset is NaN where the cameras saw different objects: any is wrong
+    truth: Truth  # its offset is NaN where none is right, as of different objects
 
     @property
     def chain(self) -> Chain:
-        """The case as methods take it."""
+        """Recordings, rig and config, as the input of a method."""
         return Chain((self.cam1, self.cam2), self.rig, self.config)
 
 
@@ -129,11 +129,11 @@ PATHS: dict[str, Callable[[Rng], Position]] = {
     "circle": _circle, "helix": lambda rng: _circle(rng, rise_m=2.0), "planar": _planar,
     "periodic": _periodic,
 }  # fmt: skip
-"""Flights with a path of their own."""
+"""Draws of the flights whose path is no random spline, by name."""
 
 
 def flight_config(flight: str, angle_deg: float) -> SimConfig:
-    """Give the configuration of a flight, but for a path of its own."""
+    """Give a flight's configuration, without the trajectory file that `flight_of` may add."""
     spline, frames = SplineConfig(DURATION_S), FrameConfig(rate_hz=0.0)
     config = SimConfig(angle_deg=angle_deg, t_d_s=T_D_S, spline=spline, frames=frames)
     return replace(config, sensor=PRESETS["davis346"]) if flight == "noise-kept" else config
@@ -142,7 +142,7 @@ def flight_config(flight: str, angle_deg: float) -> SimConfig:
 def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
     """Load a flight of `flight_config`; the seed draws its path.
 
-    The cache keeps recordings by what is in their path's file, not by its name.
+    A recording's key in the cache has the content of its trajectory file, not the name.
     """
     if flight not in PATHS and flight not in _PACES:
         return recorded_pair(cache, config, seed)
@@ -161,7 +161,7 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
 Spoil = Callable[["Scene", OpenCase, Rng], OpenCase]
 
 LONG_S = 12.0
-MOST_T_D_S = 20.0  # of tracks, of which all offsets are searched
+MOST_T_D_S = 20.0  # of tracks, whose search covers all offsets
 RATE_HZ, SIGMA_PX = 60.0, 0.3  # of tracks
 OTHER_K = np.array([[1.3 * FOCAL_PX, 0.0, 185.0], [0.0, 1.3 * FOCAL_PX, 118.0], [0.0, 0.0, 1.0]])
 _TRACK_STREAM, _SPOIL_STREAM, _JUMP_STREAM = 21, 22, 23  # of the seed
@@ -169,27 +169,27 @@ _TRACK_STREAM, _SPOIL_STREAM, _JUMP_STREAM = 21, 22, 23  # of the seed
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a recording cannot be answered, or leaves something open, and which refusals say so."""
+    """Why a recording cannot be solved, or leaves something open, and which refusals say so."""
 
     named_by: tuple[Status, ...] = ()
-    words: str = ""  # an expression that is found in a true reason
+    words: str = ""  # regular expression that the reason of a true refusal matches
     spoil: Spoil = lambda scene, case, rng: case
     path: str = ORDINARY
     duration_s: float = DURATION_S
     of_events: bool = False
-    method: str = ""  # the best one, unless it is named
-    mended_by: str = ""  # the advice after which nothing is spoilt any more
-    scale: float = 1.0  # of the path
+    method: str = ""  # name of the method; "": the best one
+    mended_by: str = ""  # phrase of the advice that undoes `spoil`
+    scale: float = 1.0  # of the path of tracks
     config: Config = field(default_factory=Config)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A flight before two cameras: as a cause has it, or as an advice changes it."""
+    """A flight before two cameras under a cause, or under a cause that an advice has changed."""
 
     cause: Cause
     cell: KindCell
-    cache: Any  # a Cache, whose code is none that a row depends on
+    cache: Any  # a Cache; rows do not depend on its code
 
     def made(self) -> OpenCase:
         """Record the flight, and spoil what was recorded."""
@@ -202,7 +202,7 @@ class Scene:
         return OpenCase(*pair, self.cause.config, Truth(t_d_s, *known_pose(pair.rig)))
 
     def changed(self, **fields: Any) -> "Scene":
-        """Give another flight, or one that is recorded otherwise."""
+        """Return the scene with some fields of its cause replaced."""
         return replace(self, cause=replace(self.cause, **fields))
 
     def _filmed(self, seed: int) -> tuple[Pair, float]:
@@ -247,7 +247,7 @@ def _delayed(case: OpenCase, late_s: float) -> OpenCase:
 
 
 def _later(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
-    """Let camera 2's clock show up to a minute more."""
+    """Let camera 2's clock show 20 to 60 s more."""
     return _delayed(case, float(np.round(rng.uniform(20.0, 60.0), 3)))
 
 
@@ -262,7 +262,7 @@ def _shortened(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
 
 
 def _elsewhere(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
-    """Ask for an interval that the true offset is 1 to 4 s beyond."""
+    """Search an interval whose nearer end is 1 to 4 s from the true offset."""
     beyond_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(2.0, 5.0))
     middle_s = case.truth.t_d_s + beyond_s
     return replace(case, config=replace(case.config, interval_s=(middle_s - 1.0, middle_s + 1.0)))
@@ -289,7 +289,7 @@ def _jumping(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
 
 
 def jump_of(scene: Scene) -> Jump:
-    """Draw when a clock jumps, in the middle 0.4 of a recording, and by how much."""
+    """Draw the time of a clock's jump, in the middle 40 % of a recording, and its size."""
     rng = generator(scene.cell.seed, _JUMP_STREAM)
     by_s = (0.008, 0.04) if scene.cause.of_events else (0.05, 0.3)
     at_s = float(rng.uniform(0.3, 0.7) * scene.cause.duration_s)
@@ -322,7 +322,7 @@ def _apart(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
 
 
 def _wrong_focal(scene: Scene, case: OpenCase, rng: Rng) -> OpenCase:
-    """Give one camera a focal length that is half or double, or worse."""
+    """Multiply or divide one camera's focal length by 2 to 4."""
     cameras, index = [case.rig.cam1, case.rig.cam2], int(rng.integers(2))
     K, factor = cameras[index].K.copy(), float(rng.uniform(2.0, 4.0))
     K[[0, 1], [0, 1]] *= factor ** float(rng.choice((-1.0, 1.0)))
@@ -405,7 +405,7 @@ CAUSES: dict[str, Cause] = {
     "planar": Cause(_OPEN_POSE, "plane", path="planar"),
     "small": Cause(_OPEN_POSE, "leaves the pose open", scale=0.05),
 }  # fmt: skip
-"""Why recordings cannot be answered."""
+"""Causes by name: most prevent an answer, the last ones leave the pose open."""
 
 
 def _open(path: str = ORDINARY, spoil: Spoil = Cause.spoil, **config: Any) -> Cause:
@@ -419,11 +419,11 @@ KINDS: dict[str, Cause] = {
     "noise-kept": _open("noise-kept", denoise=False),
     "ordinary": _open(),
     "other-object": _open(spoil=_of_others),
-    # All offsets would be searched, and the true one found.
+    # A search of all offsets would find the true one.
     "no-overlap": _open(spoil=lambda _, case, rng: _delayed(case, _APART_S), search="interval"),
     "small-overlap": _open(interval_s=(DURATION_S - 1.0, DURATION_S - 0.1)),
     "outside-search": _open(spoil=lambda _, case, rng: _delayed(case, _OUTSIDE_S)),
     "short": _open(spoil=_shortened),
     "few-samples": _open(n_samples=25),
 }
-"""What leaves something open; kinds of one path are made of the same flights."""
+"""Recordings that leave something open, and ordinary ones; those of one path share flights."""

@@ -1,8 +1,8 @@
-"""Recordings as they come: clutter, clocks that run apart, intrinsics that are off.
+"""Imperfect recordings, as real ones are: clutter, clocks that drift apart, wrong intrinsics.
 
-A flight is simulated and kept as any other; what spoils it is added when it is loaded, so that many
-kinds are made of one flight. What spoils a recording is the same in all of a kind; where it lies,
-and what varies from flight to flight, is drawn by the flight's seed.
+A flight is simulated and cached as any other. Disturbances are added when it is loaded, so that one
+flight serves many kinds. All recordings of a kind have the same disturbances; the flight's seed
+draws where they lie, and what else varies from flight to flight.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,16 +28,16 @@ T_D_S = 0.05
 DURATION_S = 20.0
 
 GOOD, CARELESS = (0.1, 0.3), (1.0, 3.0)
-"""Calibrations: deviations of the focal lengths [%] and of the centre [px]."""
+"""Standard deviations of calibrations: of focal lengths [%] and of the principal point [px]."""
 
 Errors = tuple[float, float, float, float]
-"""By which a camera's fu and fv are too long, as shares, and its pu and pv too large [px]."""
+"""Errors of a camera's fu and fv, as shares, and of its pu and pv [px]; positive if too large."""
 
 RIGHT: Errors = (0.0, 0.0, 0.0, 0.0)
 
 ORDINARY = "ordinary"
 TEXTURE = Path(__file__).parents[1] / "configs" / "backgrounds" / "leaves.png"
-_NEAR = 0.6  # of the box of the flight: so that a large drone stays in view
+_NEAR = 0.6  # factor on the box of the flight, so that a large drone stays in view
 _SKEW_STREAM = 12  # of the seed
 
 
@@ -63,7 +63,7 @@ class KindCell(FlightCell):
 def kind_cells(
     sim: SimConfig, flights: tuple[int, int], kinds: Iterable[str], methods: Sequence[str]
 ) -> list[KindCell]:
-    """List every method on every kind that is made of a flight; the other flight comes second."""
+    """List every method on every kind; `flights` are the flight's number and the other flight's."""
     seed, other = (flight_seed(sim.spline.duration_s, sim.angle_deg, one) for one in flights)
     return [
         KindCell(sim, flights[0], seed, kind, other, method) for kind in kinds for method in methods
@@ -74,14 +74,14 @@ def kind_cells(
 class Kind:
     """How a recording is spoilt."""
 
-    scene: str  # that is filmed
+    scene: str  # name of what is filmed
     disturb: DisturbConfig = field(default_factory=DisturbConfig)
     others: bool = False  # camera 2 sees another flight than camera 1
-    skew_std_ppm: float = 0.0  # of the draws of camera 2's clock
+    skew_std_ppm: float = 0.0  # deviation of the drawn skews of camera 2's clock
     skew_ppm: float | None = None  # the same in all flights; None: it is drawn
     jump: Jump | None = None  # of camera 2's clock
     errors: tuple[Errors, Errors] = (RIGHT, RIGHT)  # of the rig's intrinsics
-    stated: tuple[float, float] | None = None  # deviations of them: focal lengths [%], centres [px]
+    stated: tuple[float, float] | None = None  # deviations in the rig: focal [%], centre [px]
 
     def skew_of(self, seed: int) -> float:
         """Give the skew [ppm] of the recordings of a flight."""
@@ -91,7 +91,7 @@ class Kind:
 
 
 def _scenes() -> dict[str, SimConfig]:
-    """List what is filmed and by which sensor; a size is that in the middle of the flight."""
+    """Return scene and sensor by name; a size [px] is the drone's in the middle of the flight."""
     plain = SimConfig(t_d_s=T_D_S, spline=SplineConfig(DURATION_S), frames=FrameConfig(rate_hz=0.0))
     x, y, z = (_NEAR * multiplier for multiplier in plain.spline.multiplier_xyz_m)
     radius_m = _NEAR * plain.spline.max_radius_m
@@ -117,10 +117,10 @@ SCENES = _scenes()
 
 
 def spoilt_pair(flown: Flown, kind: Kind, duration_s: float) -> Pair:
-    """Make of a flight, whose clocks show the same, what two cameras record of it in a kind.
+    """Return the two recordings, with their rig, that a kind makes of a flight with equal clocks.
 
-    Camera 2's clock shows `T_D_S` more in the middle, and before a jump; the rig is as wrong as the
-    kind says, but for its pose, which is the true one.
+    But for a jump, camera 2's clock shows `T_D_S` more in the middle. The rig has the kind's wrong
+    intrinsics, and the true pose.
     """
     seed = flown.seed
     flight, has_second = flown.flight, kind.disturb.second_object > 0.0
@@ -141,7 +141,7 @@ def spoilt_pair(flown: Flown, kind: Kind, duration_s: float) -> Pair:
 
 
 def _wrong(camera: Camera, kind: Kind, seed: int, index: int) -> Camera:
-    """Give a camera the intrinsics of the kind's calibration, and what is said of them."""
+    """Give a camera the intrinsics of the kind's calibration, with their stated deviations."""
     K, deviations_px = wrong_intrinsics(camera.K, kind.disturb, seed, index)
     fu, fv, pu_px, pv_px = kind.errors[index]
     K[0, 0] *= 1.0 + fu

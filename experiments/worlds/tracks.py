@@ -1,7 +1,7 @@
-"""Public drone-tracking data sets: what is published of each, and what its cameras' tracks give.
+"""Public drone-tracking data sets: what is published, and what is estimated from their tracks.
 
-Every pair of cameras is synchronised from nothing; then all cameras of a data set are solved at
-once, and the path lies beside RTK. The data are not ours to ship.
+Every pair of cameras is synchronised without a prior offset or pose; then all cameras of a data set
+are solved jointly, and the path is compared with RTK. The data are not ours to ship.
 """
 
 import re
@@ -35,18 +35,18 @@ Row = dict[str, Any]
 DATA_SETS = (1, 2, 4)
 
 UNKNOWN_RATES = {(4, 3): (0.6, 0.8)}
-"""Cameras whose frames were counted at another rate than their calibration says, and the rates that
-are tried: data set 4's camera 3 counts native frames, some 18 to 24 a second, and says 30."""
+"""Range in which the clock rate of a camera is searched, where its frame rate is not that of the
+calibration: data set 4's camera 3 counts native frames, some 18 to 24 a second, and says 30."""
 
 VARIABLE_RATES = {(4, 2), (4, 3)}
-"""Phones whose frame rate varied by far, as the data set's README says: their clocks, which count
+"""Phones whose frame rate varied widely, as the data set's README says: their clocks, which count
 frames, wander by a tenth of a second."""
 
 ROUGHNESSES_PPM = (2000.0, 6000.0)
-"""How clocks of pairs with such a camera are followed: the smoothest that is not refused. A frame
-more or less in 5 s, of 30 a second, is 6700 ppm."""
+"""Roughnesses of the clock of a pair with such a camera, tried in turn until there is an offset.
+One frame more or less in 5 s, at 30 a second, is 6700 ppm."""
 
-RTK_S = 0.2  # time between two samples of RTK; data set 4 counts them, and leaves some out
+RTK_S = 0.2  # time between two samples of RTK; data set 4 numbers them, and some are missing
 
 PAIR_COLUMNS = (
     "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
@@ -66,16 +66,16 @@ _NUMBERS = re.compile(r"^\|\s*\d+\s*\|(.*)\|\s*$")
 
 @dataclass(frozen=True)
 class PublishedClocks:
-    """Frame j = alpha frame i + beta."""
+    """Published clocks of all pairs: frame_j = alpha[i, j] frame_i + beta[i, j]."""
 
     alpha: Array  # (n, n)
     beta: Array  # (n, n) [frames]
 
     def t_d_s(self, i: int, j: int, fps: tuple[float, float], time_s: float) -> float:
-        """Offset t_d [s] of camera j by camera i, at a time of camera i's.
+        """Return the offset t_d [s] of camera j's clock from camera i's, at a time of camera i's.
 
-        From the direction whose alpha is greater: four decimals of 2 tell twice as much as of 0.5,
-        25 ppm in place of 100, which are 23 ms at mid-flight in data set 4.
+        The greater of alpha[i, j] and alpha[j, i] is used: four decimals of 2 are exact to 25 ppm,
+        those of 0.5 only to 100 ppm, which are 23 ms at mid-flight in data set 4.
         """
         frame = time_s * fps[0]
         if self.alpha[i, j] >= self.alpha[j, i]:
@@ -87,21 +87,21 @@ class PublishedClocks:
 
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """One flight: its cameras, what is published of it, and what its pairs gave."""
+    """One data set: its cameras, their published clocks, and the answers of its pairs."""
 
     number: int
-    folder: Path  # as it was published
+    folder: Path  # of the published files
     cameras: list[ImportedCamera]
-    tracks: list[Path]  # theirs
+    tracks: list[Path]  # of the cameras, in their order
     rig: Path
     clocks: PublishedClocks | None
     pairs: dict[Pair, Answer]
-    seconds: dict[Pair, float]  # of one core, each pair
+    seconds: dict[Pair, float]  # CPU time of each pair
 
     def off_truth_ms(self, pair: Pair, t_d_s: float, time_s: float) -> float:
-        """Give how far an offset, at a time of the first camera's clock, is off the published one.
+        """Return an offset less the published one [ms], at a time of the first camera's clock.
 
-        NaN where none is published, or none that applies: that of a remapped video does not.
+        NaN where none is published, and for UNKNOWN_RATES: theirs are of remapped videos.
         """
         if self.clocks is None or any((self.number, k) in UNKNOWN_RATES for k in pair):
             return np.nan
@@ -115,7 +115,7 @@ def data_sets(
     """Read data sets, and synchronise every pair of cameras of each.
 
     `data` has the folders `dataset1` and so on, and `calibration`; tracks and rigs go to `work`.
-    SsacError if a folder or file is missing, or not of their form.
+    SsacError if a folder or file is missing or malformed.
     """
     for number in numbers:
         folder, own = data / f"dataset{number}", work / f"dataset{number}"
@@ -139,7 +139,7 @@ def data_sets(
 
 
 def load_clocks(folder: Path) -> PublishedClocks | None:
-    """Read the two tables of a data set's README; None where there are none."""
+    """Read the published clocks from the two tables of a data set's README; None without them."""
     path = folder / "README.md"
     if not path.is_file():
         return None
@@ -153,7 +153,7 @@ def load_clocks(folder: Path) -> PublishedClocks | None:
 
 
 def load_rtk(folder: Path) -> tum.Path:
-    """Read the antenna's positions [m] of a data set, with times from its first sample on [s]."""
+    """Read RTK's positions of the antenna [m], at times [s] from the first sample on."""
     path = folder / "trajectory" / "rtk.txt"
     expected = f"{path}: expected lines `[index] x y z`"
     try:
@@ -167,14 +167,14 @@ def load_rtk(folder: Path) -> tum.Path:
 
 
 def rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
-    """Rates that are tried of camera j's clock by camera i's; None where both are known."""
+    """Return the range to search of camera j's clock rate by camera i's; None if both are known."""
     low, high = UNKNOWN_RATES.get((number, j), (1.0, 1.0))
     slow, fast = UNKNOWN_RATES.get((number, i), (1.0, 1.0))
     return None if low == high and slow == fast else (low / fast, high / slow)
 
 
 def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Answer:
-    """Synchronise a pair with what is tried in turn for it, until it is answered."""
+    """Synchronise a pair with one config after the other, until there is an offset."""
     i, j = pair
     config = Config(search="all", rates=rate_range(number, i, j))
     configs = [config]  # what sync tries itself
@@ -193,7 +193,7 @@ def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Ans
 
 
 def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
-    """Lay out what the pairs of data sets gave, by the tables' names."""
+    """Make the tables of pairs, triples and strays of data sets, by name."""
     pairs, triples, strays = list[Row](), list[Row](), list[Row]()
     for one in sets:
         clocks = {pair: _clock(one.pairs[pair]) for pair in one.pairs}
@@ -215,7 +215,7 @@ def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
 
 
 def _clock(result: Answer) -> Clock | None:
-    """Give the clock that a pair found; of a mere delay, too, with a time at which to close."""
+    """Return a pair's clock, with a reference time even of a mere offset; None if refused."""
     if result.guess is None or not result.estimate.has_offset:
         return None
     return replace(result.estimate.clock, t_ref_s=_t_ref_s(result))
@@ -257,7 +257,7 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
 
 
 def _effect_of_readouts(result: Answer) -> Row:
-    """Say where the offset were with shutters taken for global ones, and how sure it would be."""
+    """Return how far readouts move the offset, and its deviation under global shutters [ms]."""
     start = result.start
     if start is None or not result.estimate.has_offset:
         return {"by_readouts_ms": np.nan, "global_std_ms": np.nan}
@@ -282,7 +282,7 @@ def _strays(row: Row, estimate: Estimate) -> list[Row]:
 
 
 def path_of(one: DataSet) -> tuple[Row, Comparison]:
-    """Solve all cameras of a data set at once, from what its pairs gave, and compare with RTK."""
+    """Solve all cameras of a data set jointly from its pairs' answers, and compare with RTK."""
     start_s = time.process_time()
     answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)
     network_s = time.process_time() - start_s
@@ -310,7 +310,7 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
 
 
 def _most_off_ms(one: DataSet, answer: NetworkAnswer) -> float:
-    """Give the most that a clock of constant rate is off the published one [ms]; NaN of none."""
+    """Return the largest error [ms] of a clock of constant rate by the published ones, or NaN."""
     first, *others = answer.cameras
     off_ms = [
         abs(one.off_truth_ms((0, k), camera.t_d_s, camera.t_ref_s))
