@@ -1,4 +1,4 @@
-"""Where `ssac` and `python -m experiments` begin: even an interrupted import is one line."""
+"""Entry point of `ssac` and `python -m experiments`: an interrupted import too ends in one line."""
 
 import sys
 
@@ -7,7 +7,7 @@ from ssac.cli.exits import guarded
 
 
 def main() -> None:
-    """Import the command line and run it; what the user got wrong is one line, else it is a bug."""
+    """Import and run the command line; report bad input in one line and anything else as a bug."""
     sys.exit(guarded(_run, (SimError,)))
 
 

@@ -1,4 +1,4 @@
-"""The `ssac` command: a table of commands, each imported when it is called; nothing else.
+"""The `ssac` command is a table of commands, each of which is imported only when it is called.
 
 Progress goes to stderr, results to stdout; the exit codes are those of `ssac.cli.exits`.
 """

@@ -1,4 +1,4 @@
-"""The commands over all studies: run some, join shards, and check what is committed and quoted."""
+"""Commands over all studies: run them, join shards, check committed results and quoted numbers."""
 
 import secrets
 import tempfile
@@ -35,7 +35,7 @@ from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable
 
 N_RECORDINGS = 6
-"""That verify draws if nothing else is said."""
+"""Default number of recordings that `ssac verify` draws."""
 
 _SEEDS = 2**32
 
@@ -54,7 +54,7 @@ def study_command(
     known = {
         name: study
         for name, study in all_studies().items()
-        if not study.command or study.command.startswith("ssac ablate")  # none of its own
+        if not study.command or study.command.startswith("ssac ablate")  # no command of its own
     }
     if list_them:
         for study in known.values():
@@ -94,7 +94,7 @@ def sweep_command(
 ) -> None:
     """Run any grid over any parameters of simulator and estimator; one CSV row per run.
 
-    Beside it a table of the points, `<name>_cells.csv`, and a figure of it.
+    Beside it stand a table of the grid's points, `<name>_cells.csv`, and a figure of that table.
     """
     grid = _checked(load_config(config))
     out = out or Path("results") / f"{grid.name}.csv"
@@ -110,7 +110,7 @@ def merge_command(
 ) -> None:
     """Join the CSVs of all shards of a sweep or study: the same bytes as in one piece.
 
-    What is made of the runs is made too, beside them.
+    The files that are made from the runs are written beside them.
     """
     check_writable(out)
 
@@ -193,7 +193,7 @@ def page_findings(results: Path) -> list[Finding]:
     """Check the numbers that the pages beside a folder of results quote from it."""
     root = results.resolve().parent
     if root.joinpath("results") != results.resolve() or not pages(root):
-        return []  # results that were written elsewhere: no page quotes them
+        return []  # no page quotes results that were written elsewhere
     return [found("the pages quote the results", lambda: stale_numbers(root, all_numbers()))]
 
 
@@ -205,7 +205,7 @@ def all_numbers() -> dict[str, Callable[[Results], str]]:
 
 
 def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
-    """Take the files that a study of the user's data needs from the words behind its name."""
+    """Return, by option, the files of the user's data, as given behind a study's name."""
     needed = list(study.options)
     if len(words) != len(needed):
         expected = " ".join(name.upper() for name in needed)
@@ -226,7 +226,7 @@ def _sweep(grid: GridConfig, out: Path, command: str) -> Study:
 
 
 def _checked(grid: GridConfig) -> GridConfig:
-    """Refuse, before any work is done, a grid whose meshes cannot be used."""
+    """Return the grid; SsacError, before any work is done, if a mesh of it cannot be used."""
     for mesh in {cell.sim.drone_file for cell in grid.cells() if cell.sim.drone_file is not None}:
         check_mesh(mesh)
     return grid

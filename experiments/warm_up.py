@@ -1,6 +1,6 @@
-"""Compiles numba's kernels into its cache: the last step of `make setup`.
+"""Compilation of numba's kernels into its cache: the last step of `make setup`.
 
-LLVM keeps some 200 MB in each process that compiles, and each worker would compile for itself.
+LLVM keeps some 200 MB in each process that compiles, and each worker would compile on its own.
 Workers that find the kernels in the cache stay below 1 GB, and every command starts at once.
 """
 
@@ -33,7 +33,7 @@ DURATION_S = 2.0
 
 
 def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
-    """Short flights: each kind of noise and none, the bench with all that it does, four cameras."""
+    """Yield short flights: each sensor preset, the bench with all its effects, and four cameras."""
     spline = replace(SimConfig().spline, duration_s=DURATION_S)
     estimator = Config(interval_s=(-0.1, 0.1))
     for sensor in PRESETS.values():
@@ -48,7 +48,7 @@ def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
 
 
 def main() -> None:
-    """Run them, and a search of all offsets and of the path, in a folder of their own."""
+    """Run the tasks, and searches of all offsets, path and faint object, in a temporary folder."""
     tasks = list(warm_up_tasks())
     with tempfile.TemporaryDirectory() as folder, progress(len(tasks) + 1, "kernels") as advance:
         cache = Cache(Path(folder))
@@ -56,12 +56,12 @@ def main() -> None:
             run_task(task, cache, measure)
             advance(n_done)
         (sim, seed), *_ = tasks[0][0].recordings
-        # Long enough for a rigid body to be told.
+        # Long enough to recognise a rigid body.
         longer = replace(sim, spline=replace(sim.spline, duration_s=2.0 * DURATION_S))
         cam1, cam2, rig = recorded_pair(cache, longer, seed)
         chain = Chain((cam1, cam2), rig, Config(search="all"))
         solve_pairs(chain, {(0, 1): chain.answer()})
-        with suppress(SsacError):  # whatever it finds, it is compiled
+        with suppress(SsacError):  # even if it finds nothing, its kernels are compiled
             faint_object_events(cam1.events, rig.cam1.width, rig.cam1.height)
         advance(len(tasks) + 1)
 

@@ -1,1 +1,1 @@
-"""The laboratory: what every study shares, from its cells to its files, checks and commands."""
+"""Code that all studies share, from their cells to their files, checks and commands."""

@@ -1,8 +1,8 @@
-"""Recordings drawn by chance, and whether their runs made again from nothing are as committed.
+"""Runs on recordings drawn at random, repeated from nothing and compared with the committed ones.
 
-Statuses, counts and the words of reasons must be the same on any machine. The other numbers may
-differ by a unit of their last digit and by `ROUNDING`: OpenBLAS, NumPy and numba choose kernels by
-the processor, and each kernel adds its terms in an order of its own.
+Statuses, counts and the words of reasons must be the same on any machine. Other numbers may differ
+by one unit of their last digit or by `ROUNDING`: OpenBLAS, NumPy and numba choose kernels by the
+processor, and each kernel adds its terms in an order of its own.
 """
 
 import re
@@ -25,34 +25,34 @@ from ssac.errors import SsacError
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS
 
 ROUNDING = 1e-6
-"""How far a number may be off beside its last digit, in its unit (ms, deg, px, ppm, or none).
+"""Tolerance of a number where its last digit allows less, in its unit (ms, deg, px, ppm, none).
 
 The largest difference on sixteen recordings with other kernels, thread counts and packages
-(docs/testing.md) was 6e-8 ms, of albl's t_d; all others were 1.2e-10 at most. It counts where
-numbers are small, as t_d_error_ms is, the difference of two that are nearly equal.
+(docs/testing.md) was 6e-8 ms, of albl's t_d; all others were 1.2e-10 at most. The tolerance matters
+for small numbers such as t_d_error_ms, the difference of two nearly equal ones.
 """
 
 BY_BODY = 0.05
-"""How far a method may be off that follows a body, too, in its units and as a share.
+"""Additional tolerance for a method with `needs_events`: in the number's unit plus as a share.
 
-It sees the body by many comparisons, which rounding decides. With kernels of other processors 4 of
-17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, and a count by one.
+It finds the body by many comparisons, which rounding decides. With kernels of other processors 4
+of 17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, and a count by one.
 """
 
 _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
-"""A number of a reason that is not a count: it has decimals, or a unit."""
+"""Matches a measured number in a reason, one with decimals or a unit; counts have neither."""
 
 
 Drawn = tuple[Study, Task]
-"""One recording that was drawn: the runs on it, and whose they are."""
+"""A study, and the task of its runs on one recording that was drawn."""
 
 
 def sources_of(
     studies: Mapping[str, Study], slow: bool = False, only: str | None = None
 ) -> list[Study]:
-    """List the studies to draw from; those that take minutes a recording only if asked for.
+    """List the studies to draw from; slow ones, with minutes per recording, only if asked for.
 
-    What OpenGL draws is drawn by no two drivers alike: its recordings are left out.
+    Recordings rendered with OpenGL are never drawn: no two drivers render alike.
     """
     able = {
         name: study
@@ -67,7 +67,7 @@ def sources_of(
 
 
 def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
-    """Draw recordings, or all if there are fewer: every other one of the first study, each once."""
+    """Draw up to `n_recordings` without repetition, every other one from the first study."""
     generator = np.random.default_rng(seed)
     left = {study.name: _shuffled(study, generator) for study in sources}
     drawn: list[Drawn] = []
@@ -83,7 +83,7 @@ def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
 def recomputed(
     drawn: Sequence[Drawn], results: Results, folder: Path, workers: Workers
 ) -> list[Finding]:
-    """Make the runs on the drawn recordings again in an empty folder: one finding for each."""
+    """Repeat the runs on the drawn recordings in an empty cache; return a finding per recording."""
     findings = []
     for study in dict.fromkeys(study for study, _ in drawn):
         kept = study.runs
@@ -108,14 +108,14 @@ def _compared(rows: pd.DataFrame, study: Study, kept: Runs, results: Results) ->
 
 
 def measured_by(study: Study) -> frozenset[str]:
-    """Columns that rounding reaches: the others hold counts, texts, and which run it is."""
+    """Names of the columns of floats; the others hold counts, texts and the identity of the run."""
     return frozenset(one.name for one in fields(study.measure.row_type) if one.type is float)
 
 
 def row_faults(
     again: pd.DataFrame, committed: pd.DataFrame, measured: Collection[str], kept: Runs
 ) -> tuple[str, ...]:
-    """Compare rows with the committed ones of the same keys, all as texts."""
+    """List how rows differ from the committed rows with the same keys; all cells are texts."""
     keys = (CELL,) if kept.numbered else kept.keys
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
     faults = []
@@ -135,7 +135,7 @@ def row_faults(
 def _unlike(
     row: Mapping[Any, str], theirs: Mapping[Any, str], measured: Collection[str], kept: Runs
 ) -> str:
-    """Say what differs first; nothing where all is alike."""
+    """Describe the first difference of two rows; empty if they agree."""
     method = METHODS.get(row.get("method", DEFAULT))
     slack = BY_BODY if method is not None and method.needs_events else 0.0
     for name in dict.fromkeys(["status", *theirs, *row]):
@@ -152,7 +152,7 @@ def _unlike(
 
 
 def _alike(mine: str, other: str, is_measured: bool, slack: float, digits: int) -> bool:
-    """Compare two texts, as numbers where they are; a table may round a whole number to digits."""
+    """Compare two cells, numbers within tolerance; a table may round a whole number to `digits`."""
     if mine == other:
         return True
     try:
@@ -166,7 +166,7 @@ def _alike(mine: str, other: str, is_measured: bool, slack: float, digits: int) 
 
 
 def _alike_in_words(mine: str, other: str) -> bool:
-    """Compare two reasons: a number that was measured may differ by a unit of its last digit."""
+    """Compare two reasons; measured numbers in them may differ by one unit of the last digit."""
     if _MEASURED.sub("#", mine) != _MEASURED.sub("#", other):
         return False
     for a, b in zip(_MEASURED.findall(mine), _MEASURED.findall(other), strict=True):

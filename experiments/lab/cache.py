@@ -1,21 +1,21 @@
-"""What earlier runs made, recordings and the rows that were measured on them, and who makes what.
+"""A cache of recordings and of the rows measured on them, with locks on entries in the making.
 
-Everything is addressed by its content: by all parameters and by all code that makes it
+An entry's key is a digest of all parameters and of all code that makes the entry
 (`experiments.lab.code`), so a change of either makes a new entry and never returns an old one.
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
-    recordings/<key>.sha256  checksums of its files: it is not there without them
-    brightness/<key>.npz  the mean of each of their frames
-    denoised/<key>.npz    the events that denoising leaves
+    recordings/<key>.sha256  checksums of its files; without them a recording does not count
+    brightness/<key>.npz  the mean brightness of each frame of a recording
+    denoised/<key>.npz    the events of a recording that denoising leaves
     runs/<ab>/<key>.json  one measured row, and its checksum
-    damaged/              entries that were not what had been written
+    damaged/              entries that do not agree with their checksums
 
-A disk that was full, a machine that was killed or a flipped bit leave entries that can
-be read and are wrong, so each is held against its checksum before it is used.
+A full disk, a killed machine or a flipped bit leaves entries that can be read and are wrong, so
+each entry is checked against its checksum before it is used.
 
-What is being made is locked by a file that its holder touches now and then. A lock is free when its
-holder is a process of this host that has ended, or when nobody touched it for `LAPSES_S`. Locks
-save work, and nothing rests on them: should two processes make one entry, either is whole.
+An entry in the making is locked by a file that the lock's holder touches now and then. A lock is
+free when its holder is a process of this host that has ended, or when nobody touched the file for
+`LAPSES_S`. Locks only save work: should two processes make the same entry, each writes it whole.
 """
 
 import hashlib
@@ -44,12 +44,12 @@ from ssac.files.whole_file import check_folder, remove_left_over, whole_file
 DEFAULT_FOLDER = Path("cache")
 
 ASIDE = "damaged"
-"""Folder of the cache that damaged entries are moved to, for who wants to know what happened."""
+"""Folder of the cache to which damaged entries are moved, so that they can be inspected."""
 
 RECORDED = ("recordings", "brightness", "denoised")
-"""Folders of recordings, and of what is told of them once for all methods."""
+"""Folders of recordings, and of arrays that are computed from them once for all methods."""
 
-# What makes an entry: nothing of `experiments`, so that recordings outlive its edits.
+# Code that makes each kind of entry: none of `experiments`, so that entries outlive its edits.
 RECORDING_CODE = ("sim.recording", "sim.storage")
 BRIGHTNESS_CODE = ("ssac.methods.correlations", "ssac.files.hdf5")
 DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
@@ -57,10 +57,10 @@ DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 CLAIM = ".claim"
 
 LAPSES_S = 120.0
-"""Longer than a client of a network disk may show old times (NFS: 60 s), and a touch or two."""
+"""A lock untouched for this long lapses: a network disk's delay (NFS: 60 s) and a touch or two."""
 
 ASK_AGAIN_S = 1.0
-"""How long those wait who find something locked."""
+"""Time [s] after which a process that finds a lock taken tries again."""
 
 
 Arrays = dict[str, NDArray[Any]]
@@ -68,17 +68,17 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Cache:
-    """What earlier runs made, in one folder, which processes of several hosts may share."""
+    """Recordings and rows in one folder, which processes of several hosts may share."""
 
     folder: Path = DEFAULT_FOLDER
     simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
-    sound: set[Path] = field(default_factory=set, compare=False)  # recordings it has looked at
+    sound: set[Path] = field(default_factory=set, compare=False)  # recordings found whole
 
     def recording_folder(self, config: SimConfig, seed: int) -> Path:
-        """Give the folder of a recording, simulating it first if it is not there yet.
+        """Return the folder of a recording, which is simulated first if it is not there yet.
 
         Its clocks are equal, whatever the config's `t_d_s`. SimError when it cannot be simulated,
-        WriteError when it cannot be written, or there is no room for it.
+        WriteError when it cannot be written or there is no room for it.
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
@@ -99,19 +99,19 @@ class Cache:
         tell: Callable[[], Arrays],
         inputs: Any = None,
     ) -> Arrays:
-        """Give arrays of some names, one kind of RECORDED, that some code tells of a recording.
+        """Return arrays of a recording by name, of a kind in RECORDED; `tell` makes absent ones.
 
-        Once for all methods: to read all frames takes longer than most of them do, and to tell
-        noise, reading the events included, a quarter of the time that all of them take.
+        They are made once for all methods: reading all frames takes longer than most methods do,
+        and denoising, with reading the events, a quarter of the time of all methods together.
         """
         by = code_digest(*code), package_versions(SSAC_PACKAGES)
         key = _digest(recording.name, by, names, inputs)
         path = self.folder / kind / f"{key}.npz"
         if path.exists():
             try:
-                with np.load(path) as kept:  # whose parts have checksums
+                with np.load(path) as kept:  # the archive has a checksum of each array
                     return {name: kept[name] for name in names}
-            except Exception:  # of zip, of the format, of what stands in it
+            except Exception:  # of the archive, the array format or the content
                 self._set_aside(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         told = tell()
@@ -120,7 +120,7 @@ class Cache:
         return told
 
     def load_run(self, key: str) -> dict[str, Any] | None:
-        """Return a run's row; None when there is none."""
+        """Return a run's row; None when the cache holds none, or a damaged one."""
         path = self._run_path(key)
         if not path.exists():
             return None
@@ -137,7 +137,7 @@ class Cache:
         save_text(path, text_of_row(row))
 
     def claim_of_runs(self, recordings: str) -> Path:
-        """Name the lock of all runs on recordings, as `schedule.recordings_key` names these."""
+        """Name the lock of all runs on the recordings with this `schedule.recordings_key`."""
         return self.folder / "runs" / f".{recordings}{CLAIM}"
 
     def tidy(self) -> None:
@@ -165,7 +165,7 @@ class Cache:
 
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
         check_folder(folder.parent, recording_bytes(config))
-        if folder.exists():  # and has no checksums: who made it was killed just then
+        if folder.exists():  # without checksums: its maker was killed before it wrote them
             self._set_aside(folder)
         try:
             record(config, seed, folder, {"config": content(config), "seed": seed})
@@ -175,18 +175,18 @@ class Cache:
         except Exception as error:
             if isinstance(error.__cause__, OSError):
                 raise WriteError(str(error)) from error
-            if not folder.exists():  # unless another process was first, its lock having lapsed
+            if not folder.exists():  # else another process, after our lock lapsed, made it
                 raise
 
     def _set_aside(self, path: Path) -> None:
-        """Move a damaged entry, and its checksums, to where it is not used, and say so."""
+        """Move a damaged entry and its checksums into ASIDE, and say so."""
         unique = os.urandom(4).hex()
         for one in (path, _sums_path(path)):
             aside = self.folder / ASIDE / f"{one.stem}.{unique}{one.suffix}"
             try:
                 aside.parent.mkdir(parents=True, exist_ok=True)
                 one.rename(aside)
-            except FileNotFoundError:  # it has none, or another process was faster
+            except FileNotFoundError:  # no checksums, or another process moved it first
                 continue
             except OSError as error:
                 raise SsacError(
@@ -206,25 +206,25 @@ class Cache:
 
 
 def recording_key(config: SimConfig, seed: int) -> str:
-    """Name a recording by all that it depends on: if OpenGL draws it, this machine's driver too."""
+    """Return the key of a recording: a digest of its inputs, with OpenGL also of this GL driver."""
     drawn_with_gl = config.render.renderer == "pyrender"
     context = open_context(config.render.backend) if drawn_with_gl else None
     return _digest(
         content(replace(config, t_d_s=0.0)),
         seed,
-        code_digest(*RECORDING_CODE, type(config).__module__),  # whose scene it is
+        code_digest(*RECORDING_CODE, type(config).__module__),  # the module of the scene
         package_versions(SIM_PACKAGES),
         content(context),
     )
 
 
 def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:
-    """Name a row by the keys of its recordings, all else that goes in, and code as of `code_of`."""
+    """Return the key of a row: of its recordings' keys, other inputs and code as of `code_of`."""
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 
 
 def content(value: Any) -> Any:
-    """Turn a configuration into what JSON holds, with the digest of each file in its place."""
+    """Turn a configuration into JSON types; the path of a file becomes the digest of the file."""
     if isinstance(value, Path):
         return sha256(value) if value.exists() else str(value)
     if is_dataclass(value) and not isinstance(value, type):
@@ -243,9 +243,9 @@ def _sha256(text: str) -> str:
 
 
 def recording_bytes(config: SimConfig) -> int:
-    """Bound the space of a recording: a disk that runs full while HDF5 writes ends the process."""
-    frames = 0.1 * config.frames.rate_hz * config.resolution[0] * config.resolution[1]  # as coded
-    events = 200_000.0  # of 60,000 events a second and camera, at 3 bytes each
+    """Bound a recording's size [bytes], since HDF5 ends the process if it fills the disk."""
+    frames = 0.1 * config.frames.rate_hz * config.resolution[0] * config.resolution[1]  # compressed
+    events = 200_000.0  # a second: 60,000 events per camera, at 3 bytes each
     truth = 100_000.0
     return round(config.spline.duration_s * (2.0 * (frames + events) + truth))
 
@@ -254,7 +254,7 @@ def recording_bytes(config: SimConfig) -> int:
 
 
 def save_sums(folder: Path) -> None:
-    """Note the checksums of a folder's files beside it."""
+    """Write the checksums of a folder's files beside the folder."""
     save_text(_sums_path(folder), json.dumps(_sums(folder)))
 
 
@@ -293,7 +293,7 @@ def _sums(folder: Path) -> dict[str, str]:
 # --- Locks that one process at a time can hold, whatever host it runs on ---
 
 _SEEN: dict[Path, SoftFileLease] = {}
-"""Of those who found a lock taken: each remembers since when nobody has touched it."""
+"""Leases that found a lock taken: each remembers since when nobody has touched the lock."""
 
 
 @contextmanager
@@ -319,7 +319,7 @@ def remove_lapsed(folder: Path) -> None:
     """Remove the locks in a folder whose holders are gone."""
     for path in folder.glob(f".*{CLAIM}"):
         with suppress(OSError):
-            if path.stat().st_size == 0:  # it was killed before it wrote who it is
+            if path.stat().st_size == 0:  # its holder was killed before it wrote its identity
                 path.unlink()
                 continue
         with claimed(path):

@@ -1,6 +1,6 @@
-"""What a study measures: its cells, and the measure that makes a row of each.
+"""The cells of a study, which are its single runs, and the measure that turns each into a row.
 
-A cell is one run of anything: a method on a flight, a variant, a comparison. One cell gives one
+A cell is any one run: of a method on a flight, of a variant, of a comparison. One cell gives one
 row; a cell that cannot be measured gives a row with a status and a reason.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 from sim.recording import SimConfig
 
 CRASHED = "crashed"
-"""Status of a run that could not be simulated, or whose measure raised what is not an SsacError."""
+"""Status of a run whose simulation or measure raised another error than an SsacError."""
 
 UNUSABLE = "unusable"
 """Status of a run on data that the method refuses with an SsacError."""
@@ -24,36 +24,36 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class PlainCell:
-    """One run on no recording: its fields are its inputs, words and numbers its columns too."""
+    """One run on no recording; its fields are its inputs, texts and numbers also its columns."""
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
-        """Flights that it is measured on: cells of the same ones share a task."""
+        """Flights that the cell is measured on; cells with the same flights share a task."""
         return ()
 
     @property
     def own(self) -> dict[str, Any]:
-        """Fields by name, but for those that say which flight it is."""
+        """Fields by name, without those that identify the flight."""
         return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns of its row in the runs' file that say which run it is."""
+        """Columns that identify the run in its row of the runs' file."""
         return {name: v for name, v in self.own.items() if isinstance(v, str | int | float)}
 
     @property
     def inputs(self) -> Any:
-        """Everything beside recordings and code that its row depends on (`cache.content`)."""
+        """All that the row depends on besides recordings and code, for `cache.content`."""
         return tuple(self.own.values())
 
 
 @dataclass(frozen=True)
 class FlightCell(PlainCell):
-    """One run on one flight; what a study adds to say which, it adds as fields."""
+    """One run on one flight; a study adds the fields that tell its runs apart."""
 
     sim: SimConfig
-    flight: int  # its number among those of its duration and angle
-    seed: int  # as of `grid.flight_seed`
+    flight: int  # number among the flights of its duration and angle
+    seed: int  # from `grid.flight_seed`
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
@@ -62,12 +62,12 @@ class FlightCell(PlainCell):
 
     @property
     def own(self) -> dict[str, Any]:
-        """Fields by name, but for those of the flight."""
+        """Fields by name, without those of the flight."""
         return {one.name: getattr(self, one.name) for one in fields(self)[3:]}
 
     @property
     def flown(self) -> dict[str, Any]:
-        """Columns that say which flight it is."""
+        """Columns that identify the flight."""
         return {
             "duration_s": self.sim.spline.duration_s, "angle_deg": self.sim.angle_deg,
             "flight": self.flight, "seed": self.seed,
@@ -75,32 +75,32 @@ class FlightCell(PlainCell):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns that say which run it is: those of the flight first."""
+        """Columns that identify the run, those of the flight first."""
         return {**self.flown, **super().columns}
 
     @property
     def inputs(self) -> Any:
-        """What its row depends on beside recording and code; offsets are added to recordings."""
+        """All that the row depends on besides code and recording, which has no offset in it."""
         return self.sim.t_d_s, *super().inputs
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """How a run ended; what was measured are more fields, with defaults for where it was not."""
+    """How a run ended; subclasses add the measured values, with defaults where there are none."""
 
     status: str
     reason: str = ""
 
 
 def load_nothing(cells: Sequence[Any], cache: Any) -> Any:
-    """Give the cache to cells that share nothing else: a `load` of a measure."""
+    """Return the cache: the `load` of a measure whose cells share nothing else."""
     del cells
     return cache
 
 
 @dataclass(frozen=True)
 class Measure:
-    """How the cells of one task become rows: functions of modules, which other processes find."""
+    """How the cells of one task become rows; module-level functions, which workers can import."""
 
     load: Callable[[Sequence[Any], Any], Any]  # cells of a task, and the cache -> what they share
     row: Callable[[Any, Any], Any]  # a cell and what was loaded -> a `row_type`

@@ -1,13 +1,13 @@
-"""What a recording or a row depends on: the digest of the code that makes it.
+"""Digests of the code that makes a recording or a row, with all code that it depends on.
 
-Nobody keeps a list that could miss a file: what code depends on is read off its imports and names,
-and theirs, and so on. Of `sim` and `ssac` whole modules count. Of `experiments` only the top-level
-definitions count that are reached by name from those that measure, so that measure, summary and
-drawing of a study may share a file, and a change of a lock or a checksum makes no row anew.
+Nobody keeps a list that could miss a file: dependencies are found by following imports and names
+from the code that measures. Of `sim` and `ssac` whole modules count. Of `experiments` only the
+top-level definitions that are reached by name count, so that measure, summary and drawing of a
+study may share a file, and a change of a lock or a checksum makes no row anew.
 
-Beside imports count modules and definitions that are named in a string, as lazy imports name them,
-and the data files that lie beside a module (shaders, tables). Comments, docstrings and annotations
-of functions do not count: better prose changes no number.
+Modules and definitions that a string names, as lazy imports do, count like imports. So do the data
+files beside a module (shaders, tables). Comments, docstrings and annotations of functions do not
+count: better prose changes no number.
 """
 
 import ast
@@ -24,14 +24,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("sim", "ssac", "experiments")
 
-# Packages of others whose version may change a recording, or an estimate.
+# Third-party packages whose version may change a recording or an estimate.
 SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
 
 Use = tuple[str, str]
-"""A module, and the name that is taken from it; "" for all of it."""
+"""A module, and the name that is imported from it; "" for the whole module."""
 
-_ALWAYS = ""  # name of definitions that count as soon as any of their module does
+_ALWAYS = ""  # key of statements that count as soon as anything of their module does
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files beside a module
 _HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
 """Decorators that register nothing elsewhere."""
@@ -41,11 +41,11 @@ _DEFINING = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 @dataclass(frozen=True)
 class Code:
-    """A module, or one statement at its top level: what it does without its prose, and uses."""
+    """A module, or a statement at its top level: a digest without prose, and what it uses."""
 
     digest: str
-    words: frozenset[str]  # names that it mentions, and strings, which may name code as well
-    imports: frozenset[tuple[str, Use]]  # of our packages, with the name that each has here
+    words: frozenset[str]  # names and string constants in it; a string may name code too
+    imports: frozenset[tuple[str, Use]]  # from PACKAGES: (local name, use)
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Source:
 
     whole: Code
     imports: dict[str, Use]  # at the top level
-    definitions: dict[str, list[Code]]  # by the names that they bind
+    definitions: dict[str, list[Code]]  # by name bound
 
 
 @dataclass
@@ -62,11 +62,11 @@ class SourceTree:
     """The packages under one folder; each file is read once."""
 
     root: Path = ROOT
-    sources: dict[str, Source] = field(default_factory=dict)  # that were read, by module
-    paths: dict[str, Path | None] = field(default_factory=dict)  # that were looked for
+    sources: dict[str, Source] = field(default_factory=dict)  # read so far, by module
+    paths: dict[str, Path | None] = field(default_factory=dict)  # looked up so far; None: no module
 
     def digest(self, *starts: str) -> str:
-        """Digest of code ("module", or "module:definition") and of all that it depends on."""
+        """Return a digest of code ("module" or "module:definition") and all that it depends on."""
         parts, data = [], set[Path]()
         for name in sorted(self.closure(*starts)):
             module, is_definition, definition = name.partition(":")
@@ -80,7 +80,7 @@ class SourceTree:
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
 
     def closure(self, *starts: str) -> set[str]:
-        """Names of this code and of all that it depends on: "module", or "module:definition"."""
+        """Name this code and all that it depends on, as "module" or "module:definition"."""
         found: set[str] = set()
         done: set[Use] = set()
         left = [(module, name) for module, _, name in (start.partition(":") for start in starts)]
@@ -92,7 +92,7 @@ class SourceTree:
         return found
 
     def _follow(self, module: str, name: str, found: set[str]) -> Iterable[Use]:
-        """Add what a use of a module (or of a name of it) brings in; return its own uses."""
+        """Add the code that a use (module, name) refers to; return the uses of that code."""
         if name and self._path(f"{module}.{name}"):
             return [(f"{module}.{name}", "")]
         source = self._source(module)
@@ -109,7 +109,7 @@ class SourceTree:
         return [use for code in codes for use in self._uses_of(module, source, code)]
 
     def _uses_of(self, module: str, source: Source, code: Code) -> Iterator[Use]:
-        """Yield what a definition uses, of its own module or of others."""
+        """Yield what a definition uses from its own module and from others."""
         yield from (use for _, use in code.imports)
         yield from self._named(code.words)
         for mentioned in code.words:
@@ -119,7 +119,7 @@ class SourceTree:
                 yield source.imports[mentioned]
 
     def _named(self, words: Iterable[str]) -> Iterator[Use]:
-        """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
+        """Yield the modules that strings "a.b.c" or "a.b.c:name" name; of a package all modules."""
         for name in {text.partition(":")[0] for text in words if "." in text}:
             path = self._path(name)
             if path is not None:
@@ -128,7 +128,7 @@ class SourceTree:
                     yield ".".join(parts).removesuffix(".__init__"), ""
 
     def _path(self, module: str) -> Path | None:
-        """File of a module of ours, None where there is none."""
+        """Return the file of a module of PACKAGES; None where there is none."""
         if module not in self.paths:
             parts = module.split(".")
             is_ours = parts[0] in PACKAGES and all(part.isidentifier() for part in parts)
@@ -138,7 +138,7 @@ class SourceTree:
         return self.paths[module]
 
     def _data_beside(self, module: str) -> Iterator[Path]:
-        """Files that are no code, in a module's folder and in folders there without modules."""
+        """Yield the data files in a module's folder and in its subfolders without modules."""
         path = self._path(module)
         if path is None or not _is_whole(module):
             return
@@ -159,7 +159,7 @@ class SourceTree:
 
 @cache
 def read_source(text: str) -> Source:
-    """Read code: what it does, what it uses of our packages, and its definitions."""
+    """Parse a source text into its code without prose, imports from PACKAGES and definitions."""
     tree = ast.parse(text)
     for node in list(ast.walk(tree)):
         if isinstance(node, (*_DEFINING, ast.Module)):
@@ -184,7 +184,7 @@ def read_source(text: str) -> Source:
 
 
 def _is_whole(module: str) -> bool:
-    """Whether all of a module counts, and data beside it; those of `experiments` are configs."""
+    """Whether all of a module and its data count: not of `experiments`, whose data are configs."""
     return module.partition(".")[0] != "experiments"
 
 
@@ -208,7 +208,7 @@ def _code(tree: ast.AST) -> Code:
 
 
 def _bound(line: ast.stmt) -> set[str]:
-    """Names that a statement binds; _ALWAYS among them where it may do something else too."""
+    """Return the names that a statement binds, with _ALWAYS if it may have side effects too."""
     if isinstance(line, _DEFINING):
         called = (ast.unparse(one).partition("(")[0] for one in line.decorator_list)
         may_register = {name.rpartition(".")[2] for name in called} - _HARMLESS
@@ -221,13 +221,13 @@ def _bound(line: ast.stmt) -> set[str]:
 
 
 def _is_prose(line: ast.stmt) -> bool:
-    """Return whether a statement is a string and nothing else: a docstring, or one of a name."""
+    """Whether a statement is a string alone, the docstring of a module, definition or name."""
     value = line.value if isinstance(line, ast.Expr) else None
     return isinstance(value, ast.Constant) and isinstance(value.value, str)
 
 
 def code_of(*things: Any) -> tuple[str, ...]:
-    """Name the code of functions and classes as `code_digest` takes it."""
+    """Name the code of functions and classes in the form that `code_digest` takes."""
     names = {
         thing.__module__
         if "." in thing.__qualname__ or "<" in thing.__qualname__
@@ -242,13 +242,13 @@ _TREE = SourceTree()
 
 @cache
 def code_digest(*starts: str) -> str:
-    """Digest of code of ours, as it is on disk, and of all it depends on."""
+    """Return a digest of code of PACKAGES, as it is on disk, and all that it depends on."""
     return _TREE.digest(*starts)
 
 
 @cache
 def package_versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Versions of packages of others; `pip install .` leaves out pyrender and its OpenGL."""
+    """Return versions by package; `pip install .` leaves out pyrender and its OpenGL."""
     versions = dict.fromkeys(packages, "not installed")
     for name in packages:
         with suppress(PackageNotFoundError):

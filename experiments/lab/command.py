@@ -1,6 +1,6 @@
-"""The commands of studies: their options are those of all, and the parameters of `cells`.
+"""The commands that run studies; their options are ALL_OPTIONS and the parameters of `cells`.
 
-What they check and what they say at the end is the same for all of them.
+Their checks and their messages at the end are the same for all of them.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,11 +30,11 @@ _KEYWORD = Parameter.KEYWORD_ONLY
 _SCREEN = 120  # characters in a line
 
 NOT_SIMULATED = "recording: SimError: "
-"""Begins the reason of a run of which the simulator says that its configuration makes no sense."""
+"""Start of the reason of a run whose configuration the simulator rejects."""
 
 
 def _some(workers: int) -> int:
-    """Refuse numbers of processes that nothing could run on."""
+    """Return a number of worker processes; SsacError unless it is -1, or 1 or more."""
     if workers < 1 and workers != -1:
         raise SsacError(
             f"--workers: expected 1 or more, or -1 for one for each core, got {workers}"
@@ -73,7 +73,7 @@ ALL_OPTIONS: Mapping[str, Parameter] = {
         ("cache", CacheOption, DEFAULT_FOLDER),
     )
 }
-"""Of every command that runs studies."""
+"""Options shared by the commands that run studies, by name."""
 
 
 Chosen = tuple[Sequence[Study], Options]
@@ -81,7 +81,7 @@ Chosen = tuple[Sequence[Study], Options]
 
 
 def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:
-    """Make the command that runs some studies, by the part of it that each is."""
+    """Make the command that runs the studies of the parts that a user names, or of all parts."""
     studies = [study for some in parts.values() for study in some]
     options = {k: v for study in studies for k, v in signature(study.cells).parameters.items()}
     part = argument("PART", f"Parts to run: {', '.join(parts)}.  [default: all]")
@@ -103,7 +103,7 @@ def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable
 def running(
     choose: Callable[..., Chosen], shared: Sequence[str] = tuple(ALL_OPTIONS)
 ) -> Callable[..., None]:
-    """Make the command that runs what its own parameters choose."""
+    """Make a command from `choose`, which selects studies, and the shared options."""
     own = [one.replace(kind=_KEYWORD) for one in signature(choose).parameters.values()]
     parameters = own + [ALL_OPTIONS[name] for name in shared]
 
@@ -120,7 +120,7 @@ def running(
 
 
 def chosen(names: Iterable[str], known: Mapping[str, T], kind: str) -> list[T]:
-    """Return what is named, in that order; SsacError if there is none of a name."""
+    """Return the known things with these names, in order; SsacError for an unknown name."""
     for name in names:
         if name not in known:
             raise SsacError(f"unknown {kind} {name!r}: use one of {', '.join(known)}")
@@ -151,7 +151,7 @@ def run_studies(
 
 
 def on_screen(table: pd.DataFrame) -> str:
-    """Lay a table out for a screen: a mean, its 95 % interval and the median are one column."""
+    """Format a table for a terminal; a mean, its 95 % interval and the median share one column."""
     shown = {}
     for name in map(str, table):
         error, _, kind = name.rpartition("_")
@@ -170,13 +170,13 @@ def on_screen(table: pd.DataFrame) -> str:
 
 
 def check_is_folder(out: Path) -> None:
-    """Refuse to begin work whose results would have no place; SsacError says so."""
+    """Raise SsacError, before any work is done, when the folder for the results does not exist."""
     if not out.is_dir():
         raise SsacError(f"{out}: there is no such folder: make it, or name another")
 
 
 def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
-    """Return the same cells, with what their recordings are drawn by."""
+    """Return the same cells with another renderer, and with its check against OpenGL or without."""
 
     def drawn(sim: SimConfig) -> SimConfig:
         return replace(sim, render=replace(sim.render, renderer=renderer, check=check))
@@ -185,7 +185,7 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
 
 
 def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
-    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages."""
+    """Report what was done; runs that crashed are a bug, of ours or of another package."""
     if outcomes:
         _tell(outcomes, cache)
     for path in files:

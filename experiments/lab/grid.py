@@ -1,8 +1,8 @@
-"""Grids of parameters, as a TOML file lists them: each run of a table, an ablation or a sweep.
+"""Grids of parameters read from TOML files: they list all runs of a table, ablation or sweep.
 
 docs/sweeps.md has an example. Parameters are the fields of `sim.recording.SimConfig` and
-`ssac.config.Config`, by dotted names. A file is one that comes with the project
-("backgrounds/leaves.png"), or else where its path leads.
+`ssac.config.Config`, by dotted names. A file that comes with the project is named by its path in
+CONFIGS ("backgrounds/leaves.png"); any other path is used as given.
 """
 
 import hashlib
@@ -30,10 +30,10 @@ else:
 CONFIGS = Path(__file__).parents[1] / "configs"
 
 MAX_CELLS = 1_000_000
-"""Runs of a grid: those of a year."""
+"""Largest number of runs of a grid, which would take a year."""
 
 MAX_DURATION_S = 3600.0
-"""Of a flight, as of `ssac simulate`."""
+"""Longest flight [s], as for `ssac simulate`."""
 
 _KEYS = ("title", "flights", "first_flight", "methods", "search_around_truth_s",
          "fixed", "grid", "together", "figure")  # fmt: skip
@@ -49,18 +49,18 @@ class Cell(FlightCell):
 
     t_d_s: float
     estimator: Config
-    method: str  # of the registry
+    method: str  # name in the registry
     parameters: Mapping[str, Any]  # dotted name -> value: all that the grid's TOML sets
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns of its row that say which run it is."""
+        """Columns that identify the run in its row."""
         named = {"flight": self.flight, "seed": self.seed, "method": self.method}
         return {**self.parameters, **named}
 
     @property
     def inputs(self) -> tuple[Any, ...]:
-        """Everything beside recording and code that its row depends on."""
+        """All that the row depends on besides recording and code."""
         return self.t_d_s, self.estimator, self.method, METHODS[self.method].version
 
 
@@ -70,7 +70,7 @@ class FigureConfig:
 
     x: str  # dotted name of the parameter along the axis
     label: str
-    scale: float = 1.0  # of the parameter's value, to the label's unit
+    scale: float = 1.0  # from the parameter's unit to the label's
     log: bool = False
 
 
@@ -85,7 +85,7 @@ class GridConfig:
     methods: tuple[str, ...]
     search_around_truth_s: tuple[float, float] | None  # None: the estimator's own interval
     fixed: Mapping[str, Any]
-    axes: tuple[tuple[Mapping[str, Any], ...], ...]  # of each axis, its points
+    axes: tuple[tuple[Mapping[str, Any], ...], ...]  # the points of each axis
     figure: FigureConfig | None = None
     content: Mapping[str, Any] = field(default_factory=dict)  # the TOML, for provenance
 
@@ -120,12 +120,12 @@ class GridConfig:
 
 
 def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int = 0) -> int:
-    """Give the seed of a flight: flights of another duration or angle are independent ones.
+    """Return the seed of a flight, so that flights of other durations or angles are independent.
 
-    A hash, since flights of one seed are not independent: a flight of 10 s is the first half of
-    the flight of 20 s with its seed, and views of one flight from two angles err alike. It depends
-    on nothing else, so that all offsets, methods and other parameters are compared on the same
-    flights. Another `base_seed` gives another set of them.
+    It is a hash, since flights of one seed are not independent: a flight of 10 s is the first half
+    of the flight of 20 s with its seed, and views of one flight from two angles err alike. The seed
+    depends on nothing else, so that all offsets, methods and other parameters are compared on the
+    same flights. Another `base_seed` gives another set of flights.
     """
     text = f"{base_seed} {float(duration_s)!r} {float(angle_deg)!r} {flight}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
@@ -152,7 +152,7 @@ def named_config(name: str) -> GridConfig:
 
 
 def config_names(prefix: str) -> list[str]:
-    """Names of the grids that come with the project and start so."""
+    """List the names, with this prefix, of the grids that come with the project."""
     return sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
 
 
@@ -234,7 +234,7 @@ def _with_value(config: Any, path: str, value: Any, name: str) -> Any:
 
 
 def _converted(value: Any, hint: Any) -> Any:
-    """Turn a value of TOML into the type of a field; TypeError when it is of another."""
+    """Convert a TOML value to the type of a field; TypeError when it has another type."""
     choices = get_args(hint)
     if getattr(hint, "__origin__", None) is tuple:
         if not isinstance(value, (list, tuple)):
@@ -273,7 +273,7 @@ def _flat(table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Build the points of an axis on which parameters move, one or several together."""
+    """Return the points of an axis along which one parameter, or several together, vary."""
     for name, values in lists.items():
         if not isinstance(values, list) or not values:
             raise SsacError(f"{name}: expected a list of values, got {values!r}")

@@ -1,7 +1,7 @@
-"""Who does the jobs of a run: this process, worker processes, or those of a Dask scheduler.
+"""Worker pools for the jobs of a run: this process, local processes, or a Dask cluster.
 
-Each worker process has a pipe of its own and one job at a time, so that when one dies it is known
-on which job, and no other job is lost. They are spawned, not forked: threads and OpenGL do not
+Each worker process has a pipe of its own and one job at a time, so that when a worker dies its job
+is known and no other job is lost. Workers are spawned, not forked: threads and OpenGL do not
 survive a fork. They import our code once, then serve one pool after the other until this process
 ends; and they end with it, even when it is killed.
 """
@@ -23,52 +23,52 @@ from typing import Any
 from ssac.errors import SsacError
 
 ENDS_WITHIN_S = 5.0
-"""After that a process that was told to end is killed."""
+"""Time after which a process that was asked to end is killed."""
 
 WAIT_FOR_WORKERS_S = 60.0
-"""Those of a scheduler may be on their way, or be started again."""
+"""Time to wait for a scheduler's workers, which may be starting or restarting."""
 
 ANSWERS_WITHIN_S = 10.0
-"""After that there is no scheduler."""
+"""Time without an answer after which no scheduler is taken to be there."""
 
-_LOOK_S = 5.0  # how often it is seen whether a scheduler still has workers
+_LOOK_S = 5.0  # interval of the checks that a scheduler still has workers
 _SPAWN = get_context("spawn")
 
 Running = Future[Any]
 
 Job = Callable[[], Any]
-"""With what it returns, something that pickle takes: a `functools.partial` of a function."""
+"""A job and its result can be pickled; it is a `functools.partial` of a function."""
 
 
 class DiedError(Exception):
-    """The worker of a job ended in the middle of it."""
+    """The worker ended in the middle of its job."""
 
 
 class Pool:
-    """The pool of this process alone: a job that takes it down takes everything down."""
+    """The pool of this process alone: a job that crashes the process ends everything."""
 
-    room: float = 1  # jobs at a time
+    room: float = 1  # number of jobs at a time
 
     def submit(self, job: Job) -> Running:
-        """Have a job done, however long it takes."""
+        """Run a job to its end."""
         future: Running = Future()
         value, error = _done(job)
         future.set_exception(error) if error else future.set_result(value)
         return future
 
     def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
-        """Wait until jobs have ended, one or more, or for some seconds; None: for ever."""
+        """Return the jobs that ended; wait for the first, `timeout_s` at most (None: for ever)."""
         return wait(running, timeout_s, FIRST_COMPLETED).done
 
     def __enter__(self) -> "Pool":
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End what is still being done."""
+        """End the jobs that still run."""
 
 
 class Processes(Pool):
-    """A pool of some processes; those that died are replaced."""
+    """A pool of worker processes; a process that dies is replaced."""
 
     def __init__(self, count: int) -> None:
         self.room = count
@@ -78,7 +78,7 @@ class Processes(Pool):
     def submit(self, job: Job) -> Running:
         """Hand a job to an idle process, or to a new one."""
         worker = _IDLE.pop() if _IDLE else Worker()
-        if not worker.process.is_alive():  # it died idle: of nothing that we gave it
+        if not worker.process.is_alive():  # it died idle, so not of a job
             worker.end()
             worker = Worker()
         self._busy.add(worker)
@@ -104,7 +104,7 @@ class Worker:
     def __init__(self, has_children: bool = False) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
         self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=not has_children)
-        # It ignores Ctrl-C from its start on: we get it too, and end our workers in silence.
+        # The worker ignores Ctrl-C from its start: this process gets it too, and ends its workers.
         is_main = threading.current_thread() is threading.main_thread()
         before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
         try:
@@ -112,10 +112,10 @@ class Worker:
         finally:
             if is_main:
                 signal.signal(signal.SIGINT, before)
-        theirs.close()  # theirs alone from now on: the pipe ends when the process does
+        theirs.close()  # only the worker holds it: the pipe closes when the worker ends
 
     def do(self, job: Job) -> Any:
-        """Have a job done; DiedError when the process ends in the middle of it."""
+        """Run a job in the process; DiedError when the process ends in the middle of it."""
         try:
             self.pipe.send(job)
             value, error = self.pipe.recv()
@@ -126,7 +126,7 @@ class Worker:
         return value
 
     def end(self) -> str:
-        """Wait for its end, or bring it about; say how it came."""
+        """Wait for the process to end, or kill it; say how it ended."""
         self.pipe.close()
         self.process.join(ENDS_WITHIN_S)
         if self.process.exitcode is None:
@@ -137,12 +137,12 @@ class Worker:
 
 
 _IDLE: list[Worker] = []
-"""To start one takes seconds, so that they are kept for the next pool."""
+"""Idle workers, kept for the next pool since starting one takes seconds."""
 
 
 def in_new_process(job: Job) -> Any:
-    """Do a job in a process that does nothing else; DiedError when that ends without."""
-    worker = Worker(has_children=True)  # if it wants to
+    """Run a job in a new process; DiedError when the process ends before the job."""
+    worker = Worker(has_children=True)  # its job may start processes
     try:
         return worker.do(job)
     finally:
@@ -157,7 +157,7 @@ def _done(job: Job) -> tuple[Any, Exception | None]:
 
 
 def _serve(pipe: Connection) -> None:
-    """Do jobs until there are no more: the life of a worker."""
+    """Run jobs from the pipe until it closes: the main loop of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
@@ -166,18 +166,18 @@ def _serve(pipe: Connection) -> None:
                 answer = _done(pipe.recv())
             except (EOFError, OSError):
                 return
-            except Exception as error:  # it cannot be unpickled, as its module is not here
+            except Exception as error:  # unpickling failed, as when a module is missing here
                 answer = None, error
             try:
                 pipe.send(answer)
             except OSError:
                 return
-            except Exception as error:  # something that pickle does not take
+            except Exception as error:  # the answer cannot be pickled
                 pipe.send((None, TypeError(f"{answer!r}: {error}")))
 
 
 def _end_with_parent() -> None:
-    """End at once when the process that started us does, be it killed: nobody wants our work."""
+    """End this worker at once when its parent process ends, even by a kill."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -193,7 +193,7 @@ class Cluster(Pool):
         self._address = address
         self._client = _connected(address)
         self._executor = self._client.get_executor(pure=False)
-        self._seen_s = time.monotonic()  # when there were workers
+        self._seen_s = time.monotonic()  # when workers were last seen
 
     def submit(self, job: Job) -> Running:
         """Hand a job to the scheduler."""
@@ -218,7 +218,7 @@ class Cluster(Pool):
     def __exit__(self, *_: object) -> None:
         log = logging.getLogger("distributed.client")
         level = log.level
-        log.setLevel(logging.CRITICAL)  # it would tell at length how it cannot connect again
+        log.setLevel(logging.CRITICAL)  # it would log at length that it cannot reconnect
         try:
             self._executor.shutdown(wait=False)
             self._client.close()
@@ -226,7 +226,7 @@ class Cluster(Pool):
             log.setLevel(level)
 
     def _look(self, is_alive: bool) -> None:
-        """Refuse to wait for ever where nobody works."""
+        """Raise SsacError when the scheduler has had no workers for WAIT_FOR_WORKERS_S."""
         if not is_alive:
             with suppress(OSError):  # the scheduler does not answer
                 is_alive = bool(self._client.scheduler_info()["workers"])

@@ -1,4 +1,4 @@
-"""What a result was made with: code, versions, processor, GL backend, configuration."""
+"""The provenance of a result: code, versions, processor, GL backend and configuration."""
 
 import json
 import platform
@@ -20,10 +20,10 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def plain(value: Any) -> Any:
-    """Turn nested dataclasses, tuples and paths into what JSON holds.
+    """Convert nested dataclasses, tuples and paths to JSON types.
 
-    Parts that say of themselves that they do nothing, and fields marked as `later` at their
-    default, are left out: what is new changes no provenance of what it has no part in.
+    Parts whose `is_none` is true, and fields with `later` in their metadata that have their default
+    value, are left out: a new feature changes no provenance of a result that does not use it.
     """
     if is_dataclass(value) and not isinstance(value, type):
         parts = ((one, getattr(value, one.name)) for one in fields(value))
@@ -62,14 +62,14 @@ def versions() -> dict[str, str]:
 
 
 def processor() -> str:
-    """Name the processor as LLVM does: it decides the last digits."""
+    """Return LLVM's name of the processor, on which the last digits of results depend."""
     return str(get_host_cpu_name())
 
 
 def provenance(
     command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
 ) -> dict[str, Any]:
-    """Say what a result was made with: by which command and configuration, and what rendered."""
+    """Return the provenance of a result; `gl` is the OpenGL that rendered, None without."""
     return {
         "command": command,
         "commit": code_commit(),
@@ -83,5 +83,5 @@ def provenance(
 
 
 def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a provenance that is made already beside a result."""
+    """Write a finished provenance beside the file of a result."""
     save_text(path.with_suffix(PROVENANCE), json.dumps(plain(content), indent=1) + "\n")

@@ -1,12 +1,12 @@
-"""Numbers that Markdown pages quote from the results, and how they are kept as they are there.
+"""Numbers that Markdown pages quote from the results: their update, and a check for stale ones.
 
-In a page a quoted number stands between two comments, which are not shown when it is rendered:
+A quoted number stands between two comments, which are not shown when the page is rendered:
 
     the truth is held in <!--n:coverage.tangency.t_d-->93.2 %<!--/n--> of the flights
 
-A table, whose name begins with "table.", stands likewise on lines of its own. A name is declared by
-the study that knows the number; `minutes.<name>` is of any study. Each name that is declared is
-quoted, and the other way round, so a number that somebody typed in its place is noticed.
+A table, whose name begins with "table.", stands likewise on lines of its own. The study that knows
+a number declares its name; `minutes.<name>` exists for any study. Every declared name is quoted and
+every quoted name declared, so a number that somebody typed in its place is noticed.
 """
 
 import re
@@ -17,7 +17,7 @@ from experiments.lab.results import PROVENANCE, Results, save_text
 from ssac.errors import SsacError
 
 Numbers = Mapping[str, Callable[[Results], str]]
-"""By name: the text as it stands in a page."""
+"""Functions by name, each of which returns a number's text as it stands in a page."""
 
 _TABLE, _MINUTES = "table.", "minutes."
 _CODE = r"^```.*?^```|`[^`\n]*`"
@@ -33,7 +33,7 @@ def pages(root: Path) -> list[Path]:
 
 
 def rewrite_numbers(root: Path, numbers: Numbers) -> list[Path]:
-    """Write what the results say between all comments; return the pages that changed."""
+    """Update all quoted numbers from the results; return the pages that changed."""
     results = Results(root / "results")
     changed = []
     for path in pages(root):
@@ -50,7 +50,7 @@ def rewrite_numbers(root: Path, numbers: Numbers) -> list[Path]:
 
 
 def stale_numbers(root: Path, numbers: Numbers) -> list[str]:
-    """Say where pages and results differ, what is not there, and which names no page quotes."""
+    """List quotations that differ from the results or have no source, and names never quoted."""
     results = Results(root / "results")
     lines, unquoted = [], dict(numbers)
     for path in pages(root):
@@ -75,7 +75,7 @@ def stale_numbers(root: Path, numbers: Numbers) -> list[str]:
 
 
 def quotations(text: str, page: Path) -> Iterator[tuple[re.Match[str], str]]:
-    """Yield each number that a page quotes, with its place; code is no quotation."""
+    """Yield match and place of each quoted number outside code; SsacError if one is not closed."""
     for match in _CODE_OR_QUOTED.finditer(text):
         nested = _OPEN.search(text, *match.span("text")) if match["text"] else None
         start = (nested or match).start()
@@ -88,7 +88,7 @@ def quotations(text: str, page: Path) -> Iterator[tuple[re.Match[str], str]]:
 
 
 def value_of(name: str, results: Results, place: str, numbers: Numbers) -> str:
-    """Return what the results say under a name, as a page has it; SsacError names both."""
+    """Return a named number's text from the results; SsacError names the place and the number."""
     try:
         if name in numbers:
             text = numbers[name](results)

@@ -1,4 +1,4 @@
-"""Where `sim` meets `ssac`: what an estimator is given of a recording, and the truth beside it."""
+"""Conversion of recordings of `sim` to inputs of `ssac`, with the ground truth apart from them."""
 
 import json
 import warnings
@@ -36,13 +36,13 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, eq=False)
 class FlightTruth:
-    """What is true of a recorded flight."""
+    """The ground truth of a recorded flight."""
 
-    times_s: Array  # (n,) camera 1's clock
-    positions_m: Array  # (n, 3) of the drone's origin, in the world's frame
+    times_s: Array  # (n,) on camera 1's clock
+    positions_m: Array  # (n, 3) of the drone's origin in the world frame
     quaternions: Array  # (n, 4) body to world
-    centres_px: tuple[Array, ...]  # of each camera (n, 2): images of the origin, or NaN
-    T_C_W: tuple[Array, ...]  # of each camera (4, 4)
+    centres_px: tuple[Array, ...]  # by camera (n, 2): images of the origin, or NaN
+    T_C_W: tuple[Array, ...]  # by camera (4, 4)
     R: Array  # (3, 3) x2 = R x1 + t, of the first two cameras
     t: Array  # (3,) of length 1
     baseline_m: float
@@ -54,7 +54,7 @@ class FlightTruth:
 
 
 def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
-    """Read a recording's truth; the clock with another offset where one was added since."""
+    """Read a recording's ground truth, with the clock offset `t_d_s` if one was added since."""
     path = folder / "truth.json"
     with readable(path, "the truth of a recording"):
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -103,25 +103,25 @@ def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
 
 @dataclass
 class Flown:
-    """A flight and another one, each loaded when it is first asked for, and what was made of it."""
+    """Two flights, each loaded on first use, and the last result computed from them."""
 
-    load: Callable[[int], Pair]  # by a seed
+    load: Callable[[int], Pair]  # takes a seed
     seed: int
     other_seed: int = 0
     _made: dict[Hashable, Any] = field(default_factory=dict)
 
     @cached_property
     def flight(self) -> Pair:
-        """The flight itself."""
+        """The flight with `seed`."""
         return self.load(self.seed)
 
     @cached_property
     def other(self) -> Pair:
-        """The other one."""
+        """The flight with `other_seed`."""
         return self.load(self.other_seed)
 
     def made(self, name: Hashable, make: Callable[[], Made]) -> Made:
-        """Keep what was made last: cells that need the same follow each other."""
+        """Make a result, or reuse the last one of this name: cells that share one are adjacent."""
         if name not in self._made:
             self._made = {name: make()}
         made: Made = self._made[name]
@@ -129,7 +129,7 @@ class Flown:
 
 
 def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]:
-    """Both cameras of a recording without noise, which is told once: only then is it loaded."""
+    """Return both cameras denoised; the recording is loaded only if the cache has no such entry."""
     rig = load_rig(folder / RIG_FILE)
     cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
 
@@ -137,7 +137,7 @@ def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]
         told: Arrays = {}
         for seen, (name, camera) in zip(load_pair(folder)[:2], cameras.items(), strict=True):
             one = clean(seen, camera, how, name)
-            assert one.clutter is not None  # of a recording, which was not denoised before
+            assert one.clutter is not None  # since a recording is not denoised before
             told[f"{name}_events"] = one.events
             told[f"{name}_clutter"] = np.array(astuple(one.clutter), dtype=np.float64)
             told[f"{name}_on_line"] = np.empty(0, bool) if one.on_line is None else one.on_line
@@ -168,7 +168,7 @@ def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:
 
 
 def observations(recording: Recording) -> tuple[Observation, Observation]:
-    """Return what the first two cameras recorded, and nothing of the truth."""
+    """Return what the first two cameras recorded, without any ground truth."""
     first, second = (_observation(camera) for camera in recording.cameras[:2])
     return first, second
 
@@ -186,7 +186,7 @@ def rig_of(recording: Recording | Flight, with_extrinsics: bool = False) -> Rig:
 def check_mesh(path: Path) -> None:
     """Raise SsacError, before any work is done, for a drone's mesh that cannot be used."""
     with readable(path, "the mesh of a drone"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the error says it
+        warnings.simplefilter("ignore")  # the error says the same
         try:
             drone_from_file(path)
         except SimError as error:

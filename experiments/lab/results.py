@@ -1,8 +1,8 @@
-"""The files of a folder of results: CSVs, PNGs and pages, how they are written and read again.
+"""The files of a folder of results, which are CSVs, PNGs and pages: their writing and reading.
 
-A checksum of each stands in `SHA256SUMS`, in the form that `sha256sum --check` takes. Every command
-that writes results notes them there, so a file that was changed by hand, or by a command that was
-stopped, does not agree.
+The checksum of each file stands in `SHA256SUMS`, in the form that `sha256sum --check` takes. Every
+command that writes results updates it, so a file that was changed by hand, or by a command that was
+stopped, does not agree with its checksum.
 """
 
 import fcntl
@@ -21,19 +21,19 @@ from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
-if TYPE_CHECKING:  # heavy, and `ssac simulate` needs none of them
+if TYPE_CHECKING:  # slow to import, and `ssac simulate` needs neither
     import pandas as pd
     from matplotlib.figure import Figure
 
 PROVENANCE = ".provenance.json"
 
 MERGED = "ssac merge"
-"""Command of what was joined from shards: it has the provenance of each."""
+"""Command in the provenance of joined shards, which holds the provenance of each shard."""
 
 SUMS_FILE = "SHA256SUMS"
 
 DIGITS = 6
-"""That the numbers of a table have."""
+"""Number of significant digits of a table's numbers."""
 
 DPI = 220
 
@@ -42,9 +42,9 @@ _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference 
 
 @dataclass(frozen=True)
 class Results:
-    """The CSVs, provenances and pages of one folder, each read once; what is missing is one error.
+    """The CSVs, provenances and pages of one folder, each read once; SsacError if one is missing.
 
-    Its rows are those whose columns have the given values, of which there is one at least.
+    Rows are selected by the values of columns; SsacError if no row has the given values.
     """
 
     folder: Path
@@ -70,7 +70,7 @@ class Results:
         return self._tables[name]
 
     def rows(self, name: str, /, **where: Any) -> "pd.DataFrame":
-        """Return rows of a table."""
+        """Return the rows of a table whose columns have the values of `where`."""
         rows = self.table(name)
         for column, value in where.items():
             rows = rows[self._column(rows, name, column) == value]
@@ -80,23 +80,23 @@ class Results:
         return rows
 
     def one(self, name: str, /, **where: Any) -> "pd.Series[Any]":
-        """Return the one row that these values single out."""
+        """Return the only row with these values; SsacError if there are several."""
         rows = self.rows(name, **where)
         if len(rows) != 1:
             raise SsacError(f"{self.folder / name}.csv: {len(rows)} rows with {where}, not one")
         return rows.iloc[0]
 
     def value(self, name: str, column: str, /, **where: Any) -> float:
-        """Return the number of the one row that these values single out."""
+        """Return the number in a column of the only row with these values."""
         return float(self._column(self.one(name, **where), name, column))
 
     def column(self, name: str, column: str, /, **where: Any) -> Array:
-        """Return a column's numbers in these rows, NaN where a cell is empty."""
+        """Return a column's numbers (n,) in the rows with these values; an empty cell is NaN."""
         values: Array = self._column(self.rows(name, **where), name, column).to_numpy(float)
         return values
 
     def provenances(self, name: str) -> list[dict[str, Any]]:
-        """Read what `<name>` was made with: once, or once for each shard that was merged."""
+        """Read the provenance of `<name>`: one, or one of each shard that was merged."""
         file = f"{name}{PROVENANCE}"
         try:
             content = json.loads(self.text(file))
@@ -105,7 +105,7 @@ class Results:
             raise SsacError(f"{self.folder / file} holds no provenance: {error}") from error
 
     def minutes(self, name: str) -> float:
-        """Return the wall time of the command that wrote `<name>.csv`, by its provenance."""
+        """Return the wall time [min] of the command that wrote `<name>.csv`, by its provenance."""
         return float(self.provenances(name)[0]["wall_time_s"]) / 60.0
 
     def _column(self, rows: Any, name: str, column: str) -> Any:
@@ -115,7 +115,7 @@ class Results:
 
 
 def csv_text(table: "pd.DataFrame", digits: int = DIGITS) -> str:
-    """Write a table as the project's CSV: an empty cell where unknown, lists as JSON."""
+    """Format a table as the project's CSV: an unknown value is an empty cell, a list is JSON."""
     lists = {
         name: table[name].map(json.dumps)
         for name in table.columns
@@ -127,7 +127,7 @@ def csv_text(table: "pd.DataFrame", digits: int = DIGITS) -> str:
 
 
 def read_table(text: str) -> "pd.DataFrame":
-    """Read a table as `csv_text` wrote it; an empty cell is unknown."""
+    """Read a table that `csv_text` wrote; an empty cell is NaN."""
     import pandas as pd
 
     return pd.read_csv(
@@ -136,7 +136,7 @@ def read_table(text: str) -> "pd.DataFrame":
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a text file whole."""
+    """Write a text file, which appears under its name only when it is complete."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
@@ -150,14 +150,14 @@ def png_bytes(figure: "Figure") -> bytes:
     figure.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
     whole.seek(0)
     with Image.open(whole) as image:
-        # Without dithering, whose specks look like data.
+        # No dithering: its specks look like data.
         reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
         reduced.save(small, format="PNG", optimize=True)
     return small.getvalue()
 
 
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
-    """Note what files of results are now, each with its provenance; notes on others stay."""
+    """Update the checksums of some files and of their provenances; those of other files stay."""
     with _alone(folder):
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
         for path in paths:
@@ -170,7 +170,7 @@ def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
 
 
 def read_checksums(folder: Path) -> dict[str, str]:
-    """Read the notes of a folder, name -> digest; SsacError where there are none to be read."""
+    """Read the checksums of a folder, name -> digest; SsacError where they cannot be read."""
     path = folder / SUMS_FILE
     try:
         lines = path.read_bytes().decode("utf-8").splitlines()
@@ -186,13 +186,13 @@ def read_checksums(folder: Path) -> dict[str, str]:
 
 
 def sha256(path: Path) -> str:
-    """Digest of a file, in hexadecimal."""
+    """Return the SHA-256 digest of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other commands from changing the notes meanwhile."""
+    """Lock a folder's checksums against changes by other commands."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

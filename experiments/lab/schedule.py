@@ -1,8 +1,8 @@
-"""Cells spread over processes or a cluster, and taken up again where they stopped.
+"""The scheduler that spreads cells over processes or a cluster; a stopped run can be resumed.
 
-Cells that share a recording are one task: it is loaded once, and each row is kept at once. Runs
-that share a cache, on one host or several, share the work: each task is claimed before it is
-begun, and one that is claimed elsewhere comes last, when its rows are in the cache.
+Cells that share a recording are one task: the recording is loaded once, and each row is cached at
+once. Runs that share a cache, on one host or several, share the work: each task is claimed before
+it begins, and a task that is claimed elsewhere comes last, when its rows are in the cache.
 """
 
 import hashlib
@@ -32,8 +32,8 @@ from ssac.errors import SsacError, WriteError
 from ssac.files.whole_file import check_folder
 
 MAX_DEATHS = 2
-"""So many workers may die on one task; then its runs have crashed. One may have been killed for
-what others took, as when memory is short."""
+"""Number of workers that die on one task before its runs count as crashed. One death may be due to
+other processes, as when memory is short."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Task:
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
-        """That the cells are measured on."""
+        """Recordings that the cells are measured on."""
         return self.cells[0].recordings
 
 
@@ -57,7 +57,7 @@ def tasks_of(cells: Sequence[PlainCell]) -> list[Task]:
 
 
 def keys_of(task: Task, measure: Measure) -> list[str]:
-    """Keys of a task's cells in the cache."""
+    """Return the cache keys of a task's cells."""
     recordings = tuple(recording_key(*recording) for recording in task.recordings)
     of_measure = (measure.load, measure.row, measure.row_type)
     return [
@@ -66,14 +66,14 @@ def keys_of(task: Task, measure: Measure) -> list[str]:
 
 
 def recordings_key(task: Task) -> str:
-    """Name a task by what it is measured on, whatever is measured."""
+    """Return a key of a task's recordings, or of its inputs if it has none; of no measure."""
     keys = " ".join(recording_key(*recording) for recording in task.recordings)
     keys = keys or repr([cell.inputs for cell in task.cells])
     return hashlib.sha256(keys.encode()).hexdigest()[:24]
 
 
 class Done(NamedTuple):
-    """A task's rows, and how they came about."""
+    """A task's rows, with the work and memory that they took."""
 
     rows: Rows  # one for each cell: the fields of the measure's `row_type`
     n_simulated: int  # recordings that were not in the cache before
@@ -82,7 +82,7 @@ class Done(NamedTuple):
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work."""
+    """The processes that do the work."""
 
     processes: int = -1  # on this machine; -1: one for each core; 1: this process does it itself
     scheduler: str = ""  # address of a Dask scheduler, whose workers do it instead
@@ -90,11 +90,11 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome:
-    """All rows of some cells, and how they came about."""
+    """The rows of all cells, with the work and memory that they took."""
 
-    runs: pd.DataFrame  # one row for each cell, in their order: its columns, then what was measured
-    n_recordings: int  # that work was left for
-    n_simulated: int  # of these: the others were in the cache
+    runs: pd.DataFrame  # a row for each cell, in order: its columns, then measured values
+    n_recordings: int  # tasks with work left to do
+    n_simulated: int  # recordings simulated for them; the others were in the cache
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
     n_deaths: int = 0  # of workers of this machine, which were replaced
 
@@ -107,13 +107,13 @@ def run_cells(
     show_progress: bool = True,
     measure: Measure = SCORED,
 ) -> Outcome:
-    """Run all cells that the cache does not hold, and collect the rows of all.
+    """Run all cells that the cache does not hold, and return the rows of all cells.
 
     Rows depend neither on the number of workers nor on what was in the cache, nor on who else is
     filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
-    it again. When a worker dies, what it was on is run again by a new one, `MAX_DEATHS` times.
+    it again. When a worker dies, a new one runs its task again, until `MAX_DEATHS` have died on it.
     """
-    cache = Cache(cache.folder.resolve())  # the same for workers with another working directory
+    cache = Cache(cache.folder.resolve())  # absolute, for workers elsewhere
     work = _Work(tasks_of(cells), cache, measure)
     keys = [keys_of(task, measure) for task in work.tasks]  # the GL driver is part of them
     found: dict[int, Rows] = {}
@@ -121,7 +121,7 @@ def run_cells(
         rows = [row for row in map(cache.load_run, some) if row is not None]
         if len(rows) == len(some):
             found[index] = rows
-    # The longest flights first, so that no worker is left alone with one at the end.
+    # The longest flights first, so that no worker is left alone with a long flight at the end.
     left = sorted(
         (index for index in range(len(keys)) if index not in found),
         key=lambda index: -sum(sim.spline.duration_s for sim, _ in work.tasks[index].recordings),
@@ -170,7 +170,7 @@ def _pool(workers: Workers, n_tasks: int) -> Pool:
 
 @dataclass(frozen=True)
 class _Work:
-    """What is to be done, and how."""
+    """The tasks of a run, with their cache and measure."""
 
     tasks: Sequence[Task]
     cache: Cache
@@ -178,8 +178,8 @@ class _Work:
     deaths: Counter[int] = field(default_factory=Counter)  # of workers, by task
 
     def spread(self, left: Sequence[int], pool: Pool) -> Iterator[tuple[int, Done]]:
-        """Yield each task's index and what it gave, in the order in which they are done."""
-        ready, later = deque(left), deque[tuple[float, int]]()  # when, on our clock [s], and what
+        """Yield the index and the result of each task, in the order in which tasks end."""
+        ready, later = deque(left), deque[tuple[float, int]]()  # (time [s], index)
         running: dict[Future[Any], int] = {}
         has_said = False
         while ready or later or running:
@@ -202,7 +202,7 @@ class _Work:
                 if isinstance(error, DiedError):
                     error = self._after_death(index, error)
                     if error is None:
-                        ready.append(index)  # behind the others: what was too much may fit then
+                        ready.append(index)  # at the end, when memory may suffice
                         continue
                 if isinstance(error, WriteError):
                     raise error
@@ -228,24 +228,24 @@ class _Work:
         return DiedError(f"{MAX_DEATHS} workers died of it, the last one {error}")
 
     def _crashed(self, index: int, error: BaseException) -> Done:
-        """Make the rows of a task that ended without: those that it kept before are good."""
+        """Return the rows of a failed task: the cached ones, and crashed ones for other cells."""
         crashed = refusal(self.measure, error, "worker") | {"status": CRASHED}
         known = [self.cache.load_run(key) for key in keys_of(self.tasks[index], self.measure)]
         return Done([crashed if row is None else row for row in known], 0, 0.0)
 
 
 def _claimed(task: Task, cache: Cache, measure: Measure) -> Done | None:
-    """Run a task, unless another run that shares the cache is on these recordings: then None."""
+    """Run a task; None if another run that shares the cache works on its recordings."""
     with claimed(cache.claim_of_runs(recordings_key(task))) as is_ours:
         return run_task(task, cache, measure) if is_ours else None
 
 
 def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
-    """Measure those cells of a task that the cache does not hold yet, and keep each row at once.
+    """Measure the cells of a task that the cache does not hold yet, and cache each row at once.
 
-    Nothing that a cell does raises; WriteError if the cache cannot be written to.
+    Errors of a cell become its row; WriteError if the cache cannot be written to.
     """
-    with threadpool_limits(1):  # one worker a core, and sums in the same order everywhere
+    with threadpool_limits(1):  # one core per worker; sums in one order everywhere
         n_before = len(cache.simulated)
         rows = _rows(task, cache, measure)
     unit = 1 if sys.platform == "darwin" else 1024
@@ -260,9 +260,9 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
         rows = [cache.load_run(key) for key in keys]
         missing = [cell for cell, row in zip(task.cells, rows, strict=True) if row is None]
         loaded = measure.load(missing, cache) if missing else None
-    except WriteError:  # the others cannot be written either
+    except WriteError:  # nor can other rows be written
         raise
-    except Exception as error:  # whatever it is: the row says so, and the other recordings go on
+    except Exception as error:  # any: the rows say so, and other recordings go on
         failed = refusal(measure, error, "recording")
         return [failed if row is None else row for row in rows]
     for index, (key, cell) in enumerate(zip(keys, task.cells, strict=True)):
@@ -276,15 +276,15 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
 
 
 def measured(cell: PlainCell, measure: Measure, load: Callable[[], Any]) -> dict[str, Any]:
-    """Make a cell's row of what is loaded."""
+    """Measure a cell on what `load` returns; an error becomes a row too."""
     try:
         return plain(measure.row(cell, load()))
-    except Exception as error:  # whatever it is: the row says so
+    except Exception as error:  # any: the row says so
         return refusal(measure, error, name_of(cell))
 
 
 def refusal(measure: Measure, error: BaseException, where: str) -> dict[str, Any]:
-    """Make the row of a cell that could not be measured."""
+    """Return the row of a cell that could not be measured: UNUSABLE or CRASHED."""
     text = " ".join(str(error).split())
     if isinstance(error, SsacError):
         return plain(measure.row_type(UNUSABLE, text))
@@ -292,7 +292,7 @@ def refusal(measure: Measure, error: BaseException, where: str) -> dict[str, Any
 
 
 def plain(row: Any) -> dict[str, Any]:
-    """Turn a row into what JSON holds exactly: None for NaN."""
+    """Convert a row to a dictionary that JSON holds exactly, with None for NaN."""
     return {
         name: None if isinstance(value, float) and np.isnan(value) else value
         for name, value in vars(row).items()
@@ -300,12 +300,12 @@ def plain(row: Any) -> dict[str, Any]:
 
 
 def name_of(cell: PlainCell) -> str:
-    """Tell a cell from the others of its task, in a reason: by its last column."""
+    """Name a cell in a reason by its last column, which tells it from the others of its task."""
     return str(list(cell.columns.values())[-1])
 
 
 def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataFrame:
-    """Put each cell's columns before its row."""
+    """Make a table of each cell's columns followed by its row."""
     pairs = zip(cells, rows, strict=True)
     frame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
     unknown = [one.name for one in fields(measure.row_type) if one.default != one.default]  # NaN
@@ -313,10 +313,10 @@ def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataF
 
 
 def run_alone(cells: Sequence[PlainCell], measure: Measure, label: str) -> Outcome:
-    """Measure cells one after the other, each in a process of its own; none is kept.
+    """Measure cells one after the other, each in a process of its own; no row is kept.
 
-    All of them get one cache, which is gone at the end, so that a cell may use what those before
-    it have made. A process that dies is a row that says so.
+    All cells share one temporary cache, so that a cell may use what earlier cells have made. If a
+    process dies, the row of its cell says so.
     """
     rows = []
     with tempfile.TemporaryDirectory(prefix="ssac-alone-") as folder:

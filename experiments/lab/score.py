@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth, and how that compares with its stated deviations."""
+"""Errors of an estimate against the ground truth, also in units of its stated deviations."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -10,9 +10,9 @@ from ssac.estimate import Estimate
 from ssac.geometry.pose import pose_step
 
 POSE_SCORES = (
-    "r_std_deg",  # of R's angle: root of the trace of its covariance
+    "r_std_deg",  # of R: root of the trace of the covariance of its angles
     "t_std_deg",
-    "r_mahalanobis",  # of R's three angles; its square is chi^2 of 3 if all is well
+    "r_mahalanobis",  # of R's three angles; its square should be chi^2 with 3 degrees of freedom
     "t_mahalanobis",  # of t's two angles
     "r_x_normalised",  # signed error of an angle over its deviation
     "r_y_normalised",
@@ -20,28 +20,28 @@ POSE_SCORES = (
     "t_1_normalised",
     "t_2_normalised",
 )
-"""Errors of a pose beside its covariance; the angles are those of `ssac.geometry.pose`."""
+"""Scores of a pose's errors against its covariance, by the angles of `ssac.geometry.pose`."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What an estimate is held against: x2 = R x1 + t, and `t_cam2 = t_cam1 + t_d`."""
+    """The ground truth of an estimate: x2 = R x1 + t, and `t_cam2 = t_cam1 + t_d`."""
 
-    t_d_s: float  # in the middle; NaN: there is none, and any offset is wrong
+    t_d_s: float  # at t_mid_s; NaN: there is no true offset, and any is wrong
     R: Array  # (3, 3)
     t: Array  # (3,) unit length
     skew_ppm: float = 0.0
-    t_mid_s: float = 0.0  # camera 1's clock
+    t_mid_s: float = 0.0  # middle of the flight, on camera 1's clock
 
     def t_d_of(self, estimate: Estimate) -> float:
-        """Offset [s] where the estimate's holds."""
+        """Return the true offset [s] at the time for which the estimate states its own."""
         since_s = estimate.t_ref_s - self.t_mid_s if np.isfinite(estimate.t_ref_s) else 0.0
         return self.t_d_s + 1e-6 * self.skew_ppm * since_s
 
 
 @dataclass(frozen=True)
 class Score:
-    """How far an estimate is from the truth; NaN for what it does not give."""
+    """Errors of an estimate; NaN for a quantity that it does not give."""
 
     t_d_error_ms: float  # |estimate - truth|
     r_error_deg: float  # angle of R_est' R_true
@@ -49,9 +49,9 @@ class Score:
 
 
 def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str, Any]:
-    """Give all columns that say how good an estimate is, NaN where it tells nothing.
+    """Return all columns of an estimate's scores, NaN for a quantity that it does not give.
 
-    Those of the pose are left out unless `has_pose`: one that was given has no error.
+    Without `has_pose` those of the pose are left out: a pose that was given has no error.
     """
     t_d_s = truth.t_d_of(estimate)
     errors = vars(score(estimate, t_d_s, truth.R, truth.t))
@@ -74,12 +74,12 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
 
 
 def kept(row_type: type, columns: dict[str, Any]) -> dict[str, Any]:
-    """Give those columns that a type of rows has."""
+    """Return those of the columns that are fields of a row type."""
     return {one.name: columns[one.name] for one in fields(row_type) if one.name in columns}
 
 
 def _over(error: float, std: float) -> float:
-    """Give an error over its deviation; NaN of 0, which says that it was not looked for."""
+    """Return an error over its deviation; NaN if that is 0: the quantity was not estimated."""
     return error / std if std else np.nan
 
 
@@ -93,7 +93,7 @@ def score(estimate: Estimate, t_d_s: float, R: Array, t: Array) -> Score:
 
 
 def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
-    """Give POSE_SCORES of an estimate, NaN if it has no covariance; parameters as for `score`."""
+    """Return POSE_SCORES of an estimate, NaN without covariance; parameters as for `score`."""
     if estimate.covariance is None or estimate.R is None or estimate.t is None:
         return dict.fromkeys(POSE_SCORES, np.nan)
     errors_rad = -pose_step(estimate.R, estimate.t, R, t)
@@ -108,11 +108,11 @@ def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
 
 
 def rotation_angle_deg(R: Array) -> float:
-    """Angle [deg] by which a rotation matrix (3, 3) turns, exact for small angles too."""
+    """Return the angle [deg] of a rotation matrix (3, 3), exact for small angles too."""
     sine = 0.5 * np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     return float(np.rad2deg(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))))
 
 
 def angle_between_deg(a: Array, b: Array) -> float:
-    """Angle [deg] between two vectors (3,), exact for small angles too."""
+    """Return the angle [deg] between two vectors (3,), exact for small angles too."""
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

@@ -1,4 +1,4 @@
-"""The measure of a grid's cells: a method on a recording, with an offset, scored."""
+"""The measure of a grid's cells: it scores a method on a recording with a clock offset."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.track.observation import Observation
 
 GUARDED = 10
-"""One in as many offsets of flights is made in full as well, and must be the same."""
+"""One in this many pairs of flight and offset is also run in full, and must agree."""
 
 Frames = tuple[NDArray[np.generic] | None, Array | None]
 """Images (n, height, width) and their times (n,) [s], or neither."""
@@ -36,14 +36,14 @@ Frames = tuple[NDArray[np.generic] | None, Array | None]
 
 @dataclass(frozen=True)
 class Row(RunRow):
-    """One scored run, or "skipped"; NaN for what the method does not give."""
+    """One scored run, or a skipped one; NaN for a quantity that the method does not give."""
 
     t_d_estimate_ms: float = np.nan
     t_d_error_ms: float = np.nan
-    r_error_deg: float = np.nan  # NaN for a method that was given the pose, as is t_error_deg
+    r_error_deg: float = np.nan  # NaN, like t_error_deg, if the method was given the pose
     t_error_deg: float = np.nan
     t_d_std_ms: float = np.nan
-    r_std_deg: float = np.nan  # this and those below as in `score.POSE_SCORES`
+    r_std_deg: float = np.nan  # from here to t_2_normalised as in `score.POSE_SCORES`
     t_std_deg: float = np.nan
     r_mahalanobis: float = np.nan
     t_mahalanobis: float = np.nan
@@ -56,13 +56,13 @@ class Row(RunRow):
     d_avg_px: float = np.nan
     n_events_cam1: int = 0  # as recorded
     n_events_cam2: int = 0
-    skew_ppm: float = np.nan  # estimated; NaN for a method that takes both clocks to run alike
+    skew_ppm: float = np.nan  # estimated; NaN for a method that assumes equal clock rates
     skew_std_ppm: float = np.nan
     skew_error_ppm: float = np.nan  # |estimate - truth|
 
 
 def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
-    """Load what the cells need of their recording, which is simulated if it is not there yet."""
+    """Load the parts of a recording that its cells need; simulate it if the cache lacks it."""
     sim, seed, methods = cells[0].sim, cells[0].seed, [METHODS[cell.method] for cell in cells]
     folder = cache.recording_folder(sim, seed)
     (how, *others) = {cell.estimator.cleaning for cell in cells}
@@ -92,14 +92,14 @@ def scored_row(cell: Cell, chain: Chain) -> Row:
 
 
 SCORED = Measure(load_recorded, scored_row, Row)
-"""Of a grid's cells: tables, ablations, sweeps, coverage."""
+"""Measure of a grid's cells: of tables, ablations, sweeps and coverage."""
 
 
 def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
-    """Find the cell's estimate: the one of clocks that show the same, and the delay, where it can.
+    """Estimate with equal clocks and add the cell's offset, or run in full where that is not exact.
 
-    Cells of one flight that search alike around their true offsets so share one run, and none
-    depends on which others are measured. A refusal names offsets in its reason: it is made anew.
+    Cells of one flight that search the same interval around their true offsets thus share one run,
+    and no row depends on which others are measured. A refusal is run in full: it names offsets.
     """
 
     def whole() -> Estimate:
@@ -108,7 +108,7 @@ def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
     interval_s = cell.estimator.interval_s
     if not method.follows_clock or cell.t_d_s == 0.0 or interval_s is None:
         return whole()
-    shift_s = round(cell.t_d_s * US_PER_S) / US_PER_S  # as of `Observation.delayed`
+    shift_s = round(cell.t_d_s * US_PER_S) / US_PER_S  # as `Observation.delayed` rounds
     low, high = (round(bound_s - shift_s, 9) for bound_s in interval_s)
     shared = chain.under(replace(cell.estimator, interval_s=(low, high))).estimate(method)
     if shared.status != Status.OK:
@@ -134,7 +134,7 @@ def _check_same(shared: Estimate, whole: Estimate) -> None:
 
 
 def _is_alike(one: Any, other: Any) -> bool:
-    """Whether two parts of estimates are the same, numbers but for rounding."""
+    """Whether two fields of estimates are equal, numbers up to rounding."""
     if one is None or other is None or isinstance(one, str):
         return one is other or bool(one == other)
     return np.allclose(one, other, rtol=0.0, atol=1e-9, equal_nan=True)
@@ -148,7 +148,7 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
 
 
 def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
-    """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
+    """Load both cameras' frames if a method needs them, reduced to their means if these suffice."""
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:
         return (None, None), (None, None)

@@ -1,9 +1,9 @@
-"""What a study is: cells, a measure, and what is made, quoted and checked of the rows.
+"""A study: its cells, a measure, and the files, quoted numbers and checks that its rows give.
 
-A study is one file of `experiments/studies/`, which ends with the list of its studies. Everything
-else is the same for all of them and stands in this folder: they run on one scheduler and cache, can
-be stopped and taken up again, and spread over machines. What is made of the rows is made from the
-text of their file, rounded as it is there, so that anyone who has the file makes the same bytes.
+Studies are declared in the files of `experiments/studies/`, each of which ends with a list of them.
+Code that all studies share stands in this folder: they run on one scheduler and cache, can be
+stopped and resumed, and spread over machines. Whatever is made from the rows is made from the text
+of their file, with its rounded numbers, so that anyone who has the file makes the same bytes.
 """
 
 import json
@@ -41,16 +41,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CELL = "cell"
-"""Column of the cells' numbers over the whole study."""
+"""Column of a cell's number within the whole study."""
 
 WHOLE = (1, 1)
-"""The shard that is everything."""
+"""The shard (i, n) that holds all cells."""
 
 SHARD = "shard"
-"""Of a provenance's configuration: says which part was run, not what."""
+"""Key in a provenance's configuration: its value says which part of the study was run."""
 
 Options = Mapping[str, Any]
-"""Arguments of a study's `cells`, by name; what is left out is as by default."""
+"""Arguments of a study's `cells`, by name; an argument that is left out has its default."""
 
 
 class How(Enum):
@@ -63,37 +63,37 @@ class How(Enum):
 
 @dataclass(frozen=True)
 class Runs:
-    """The file of all rows: each cell's columns, then those of what was measured."""
+    """The file of all rows: the columns of each cell, then the measured ones."""
 
     file: str
-    keys: tuple[str, ...]  # columns of which each combination is there once
-    columns: tuple[str, ...] = ()  # that are written, in their order; all, unless some are named
-    numbered: bool = True  # whether a column CELL comes first; that of a shard always has it
+    keys: tuple[str, ...]  # columns whose values together identify a row
+    columns: tuple[str, ...] = ()  # columns to write, in order; empty: all
+    numbered: bool = True  # whether a column CELL comes first; a shard's file always has it
     digits: int = DIGITS
-    took: tuple[str, ...] = ()  # columns of what a run took: another time, even here
+    took: tuple[str, ...] = ()  # columns of run times and the like, which never repeat exactly
     table: Callable[[pd.DataFrame, Results], pd.DataFrame] | None = None
-    """Makes what is written of the rows, where that is not a line for each; of a shard all are."""
+    """Makes the written table from all rows, where it has not one line per row; excludes shards."""
 
 
 @dataclass(frozen=True)
 class Made:
-    """One file that follows from the files of results: a table, a figure or a page."""
+    """One file that is made from the files of results: a table, a figure or a page."""
 
     file: str
-    # Of Results, then of recordings' folders; what is None then is not there. None: the study's
-    # own command makes it, of what nobody else has.
+    # Takes Results, then the recordings' folders; returns None where there is to be no file. None:
+    # the study's own command makes the file, from data that nobody else has.
     make: "Callable[..., pd.DataFrame | Figure | bytes | str | None] | None"
-    # That it is made of too, by the options of `cells`: verify has its checksum alone.
+    # Recordings that the file needs too, by the options of `cells`: verify has only its checksum.
     recordings: Callable[..., tuple[Flight, ...]] | None = None
-    config: Mapping[str, Any] | None = None  # of its provenance, where it is not the study's
+    config: Mapping[str, Any] | None = None  # for its provenance; None: the study's
 
     @property
     def follows(self) -> bool:
-        """Whether it follows from files of results alone."""
+        """Whether the file is made from files of results alone."""
         return self.make is not None and self.recordings is None
 
     def filmed(self, options: Options | None = None) -> tuple[Flight, ...]:
-        """Name the recordings that it is made of."""
+        """Return the flights whose recordings the file needs."""
         return self.recordings(**(options or {})) if self.recordings else ()
 
     def bytes_of(self, results: Results, *folders: Path) -> bytes | None:
@@ -108,7 +108,7 @@ class Made:
 
 
 Check = tuple[str, Callable[[Results], Iterable[str]]]
-"""What must hold of the results in words, and what finds the faults."""
+"""A condition on the results in words, and a function that finds violations of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,39 +119,39 @@ class Study:
     title: str
     cells: Callable[..., Sequence[PlainCell]]  # its parameters are the options of the command
     measure: Measure
-    runs: Runs | None  # None: it has no cells, and makes its files of others
+    runs: Runs | None  # None: no cells, and files made from others' results
     makes: tuple[Made, ...] = ()
-    numbers: Mapping[str, Callable[[Results], str]] = field(default_factory=dict)  # pages quote
+    numbers: Mapping[str, Callable[[Results], str]] = field(default_factory=dict)  # for pages
     checks: tuple[Check, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict)  # for provenance
-    command: str = ""  # that runs it; by default `ssac study <name>`
+    command: str = ""  # command that runs it; by default `ssac study <name>`
     how: How = How.SHARED
-    again: bool = True  # whether verify draws recordings from it unasked
-    reads: tuple[str, ...] = ()  # files of other studies that its own are made of
+    again: bool = True  # whether `ssac verify` draws recordings from it by default
+    reads: tuple[str, ...] = ()  # files of other studies that its own files are made from
     shows: str = ""  # the table that its command prints at the end
-    committed: Options = field(default_factory=dict)  # arguments of `cells` for what is committed
+    committed: Options = field(default_factory=dict)  # arguments of `cells` for the committed files
     is_committed: bool = True  # whether its files belong to results/
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of all its files but for provenances."""
+        """Names of all its files without the provenances."""
         return (*([self.runs.file] if self.runs else []), *(made.file for made in self.makes))
 
     @property
     def provenances(self) -> dict[str, Mapping[str, Any]]:
-        """Names of the files that say what its own were made with -> configuration."""
+        """Names of its provenance files -> configuration."""
         made = {made.file: made.config or self.config for made in self.makes}
         tables = {file: made.get(file, self.config) for file in self.files if file.endswith(".csv")}
-        tables = tables or {self.name: self.config}  # drawings alone
+        tables = tables or {self.name: self.config}  # only figures
         return {file.removesuffix(".csv") + PROVENANCE: one for file, one in tables.items()}
 
     @property
     def options(self) -> dict[str, Any]:
-        """Defaults of the arguments of `cells`; `Parameter.empty` of one that must be given."""
+        """Defaults of the arguments of `cells`; `Parameter.empty` for a required argument."""
         return {name: one.default for name, one in signature(self.cells).parameters.items()}
 
     def command_line(self, options: Options | None = None, shard: tuple[int, int] = WHOLE) -> str:
-        """Give what a user types to run it."""
+        """Return the command line that runs the study."""
         words = [self.command or f"ssac study {self.name}"]
         for name, value in (options or {}).items():
             default, flag = self.options[name], name.replace("_", "-")
@@ -170,7 +170,7 @@ def run_study(
     shard: tuple[int, int] = WHOLE,
     options: Options | None = None,
 ) -> Outcome:
-    """Measure the cells of a study or shard that the cache does not hold; CELL comes first."""
+    """Measure the cells of a study or shard that are not in the cache; column CELL comes first."""
     of_shard = numbered(study.cells(**(options or {})), shard)
     cells = [cell for _, cell in of_shard]
     if study.how is How.ALONE:
@@ -184,14 +184,14 @@ def run_study(
 def numbered(
     cells: Sequence[PlainCell], shard: tuple[int, int] = WHOLE
 ) -> list[tuple[int, PlainCell]]:
-    """Return the numbered cells of shard (i, n), i from 1: all those of every n-th recording."""
+    """Return the numbered cells of shard (i, n), i from 1: those of every n-th task from i on."""
     index, n_shards = shard
     mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells}
     return [(number, cell) for number, cell in enumerate(cells) if id(cell) in mine]
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Read i/n; SsacError when it is none."""
+    """Parse a shard "i/n"; SsacError when the text is not one."""
     first, _, second = text.partition("/")
     if not (first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
         raise SsacError(f"--shard: expected i/n with 1 <= i <= n, such as 2/8, got {text!r}")
@@ -215,7 +215,7 @@ def save_study(
     shard: tuple[int, int] = WHOLE,
     options: Options | None = None,
 ) -> tuple[Outcome | None, list[Path]]:
-    """Run a study, or a shard of it, and write what there is of its files into a folder."""
+    """Run a study or a shard of it, write its files into a folder, and return their paths."""
     check_folder(out)
     start, outcome = time.perf_counter(), None
     given = {name: value for name, value in (options or {}).items() if name in study.options}
@@ -245,7 +245,7 @@ def save_made(
     is_whole: bool = True,
     options: Options | None = None,
 ) -> list[Path]:
-    """Write what is made of the rows beside their file, and the provenance of each table."""
+    """Write the files made from the rows beside them, and each table's provenance; return paths."""
     written = [out / study.runs.file] if study.runs else []
     for path in written:
         write_provenance(path, content)
@@ -266,7 +266,7 @@ def save_made(
             config = content["config"] if made.config is None else dict(made.config)
             write_provenance(path, {**content, "config": config})
     noted = list(written)
-    if study.runs is None:  # drawings alone
+    if study.runs is None:  # only figures
         noted.append(out / f"{study.name}{PROVENANCE}")
         write_provenance(out / f"{study.name}.csv", content)
     if study.is_committed:
@@ -277,7 +277,7 @@ def save_made(
 def runs_text(
     kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE, results: Results | None = None
 ) -> str:
-    """Write rows as their file has them; those of a shard begin with the cells' numbers."""
+    """Format rows as the text of their file; those of a shard begin with the cells' numbers."""
     if kept.table is not None and shard != WHOLE:
         raise SsacError(f"{kept.file} is made of all rows together: run it without --shard")
     columns = list(kept.columns)
@@ -290,13 +290,13 @@ def runs_text(
 
 
 def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[PlainCell]) -> None:
-    """Raise SsacError unless every cell of the study has its row, once and in its place."""
+    """Raise SsacError unless every cell of the study has exactly one row, in the order of cells."""
     kept, again = study.runs, f": run `{study.command_line()}`"
     assert kept is not None
     expected = read_table(csv_text(pd.DataFrame([dict(cell.columns) for cell in cells])))
     if len(runs) != len(expected) and "method" in expected:
         ours = expected["method"].isin([one.name for one in OURS])
-        expected = expected[ours].reset_index(drop=True)  # others are of another package
+        expected = expected[ours].reset_index(drop=True)  # other packages' methods are not in it
     names = [str(name) for name in expected]
     needed = [*([CELL] if kept.numbered else []), *names, "status"]
     absent = [name for name in needed if name not in runs]
@@ -316,7 +316,7 @@ def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[PlainCell]) -> 
 
 
 def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
-    """Raise SsacError unless the keys tell all runs apart."""
+    """Raise SsacError unless the key columns identify each row."""
     if runs.duplicated(list(kept.keys)).any():
         raise SsacError(f"{kept.file}: {', '.join(kept.keys)} do not tell all runs apart")
 
@@ -324,9 +324,9 @@ def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
 def merge(
     shards: Sequence[Path], out: Path, study_of: Callable[[Mapping[str, Any]], Study], cache: Cache
 ) -> list[Path]:
-    """Join the shards of a study to the same bytes as in one piece, and make what follows.
+    """Join the shards of a study to the same bytes as a run in one piece, and make its other files.
 
-    Each shard has its provenance beside it, of whose configuration `study_of` gives the study.
+    Each shard has its provenance beside it; `study_of` returns the study of its configuration.
     SsacError if the shards are of different grids, overlap, or do not cover the grid.
     """
     provenances = [_read_provenance(path) for path in shards]
@@ -364,7 +364,7 @@ def merge(
 
 
 def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:
-    """Read a shard: its header, and its other lines with the number that each begins with."""
+    """Read a shard: its header, and the other lines, each with the cell's number at its start."""
     try:
         header, *lines = path.read_bytes().decode("utf-8").splitlines() or [""]
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""What the runs of a study say together, and how pages show it: tables, numbers and words.
+"""Summaries of a study's runs, and their form in pages: tables, numbers and sentences.
 
 Markdown is aligned so that it reads well as plain text too.
 """
@@ -16,7 +16,7 @@ from experiments.lab.study import Made
 from ssac.fit.covariance import NORMAL_95
 
 UNKNOWN = "none"
-"""Shown in place of a number that there is not."""
+"""Text shown in place of an unknown number."""
 
 _WIDTH = 100
 _NUMBER = re.compile(r"-?\d.*|none|")
@@ -35,40 +35,40 @@ def by_group(
     row: Callable[[pd.DataFrame], Mapping[str, Any]],
     dropna: bool = True,
 ) -> pd.DataFrame:
-    """Make a row of each group of runs, in their order: the keys, then what `row` gives."""
+    """Make a row of each group of runs, in order of appearance: the keys, then what `row` gives."""
     groups = runs.groupby(list(keys), sort=False, dropna=dropna)
     return pd.DataFrame([{**dict(zip(keys, key, strict=True)), **row(of)} for key, of in groups])
 
 
 def answered(runs: pd.DataFrame) -> pd.DataFrame:
-    """Give the runs that are "ok"."""
+    """Return the runs whose status is "ok"."""
     return runs[runs["status"] == "ok"]
 
 
 def held(runs: pd.DataFrame, name: str, unit: str) -> "pd.Series[bool]":
-    """Whether the stated interval of 95 % of a quantity holds the truth."""
+    """Return for each run whether the stated 95 % interval of a quantity contains the truth."""
     return runs[f"{name}_error_{unit}"] <= NORMAL_95 * runs[f"{name}_std_{unit}"]
 
 
 def statistics(runs: pd.DataFrame, columns: Sequence[str], *names: str) -> dict[str, float]:
-    """Give some statistics of each column, such as "mean", as <column>_<statistic>."""
+    """Return statistics of each column, such as "mean", under the names <column>_<statistic>."""
     return {f"{one}_{name}": _STATISTICS[name](runs[one]) for one in columns for name in names}
 
 
 def made_of(file: str, make: Callable[[pd.DataFrame], Any], table: str) -> Made:
-    """Declare a file that is made of one table of results alone."""
+    """Declare a file that is made from one table of the results alone."""
     return Made(file, lambda results: make(results.table(table)))
 
 
 def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:
-    """Declare a number of a page: columns of the one row of a table, as "{runs:.0f}" shows them."""
+    """Declare a quoted number: a format, such as "{runs:.0f}", of the columns of a table's row."""
     return lambda results: form.format(**results.one(table, **where))
 
 
 def quoted_of(
     table: str, column: str, form: str, scale: float = 1.0, **where: Any
 ) -> Callable[[Results], str]:
-    """Declare a number of a page: {low}, {high}, {most} and {total} of the numbers of a column."""
+    """Declare a quoted number: {low}, {high}, {total} or {most} (largest |x|) of a column."""
 
     def text(results: Results) -> str:
         of = scale * results.column(table, column, **where)
@@ -79,22 +79,22 @@ def quoted_of(
 
 
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
-    """Lay rows out as Markdown: under each heading their columns, as "{runs:.0f}" shows them."""
+    """Format rows as a Markdown table; `columns` maps headings to formats such as "{runs:.0f}"."""
     return markdown_table(list(columns), shown_cells(rows, columns))
 
 
 def shown_cells(rows: pd.DataFrame, columns: Mapping[str, str]) -> list[list[str]]:
-    """Give the cells of `shown_table`, row by row."""
+    """Return the cells of `shown_table`, row by row."""
     return [[form.format(**row) for form in columns.values()] for row in records(rows)]
 
 
 def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """Give rows as dictionaries; each column keeps its own type."""
+    """Return rows as dictionaries; each column keeps its own type."""
     return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Lay out a table; columns of numbers to the right, those with a word to the left."""
+    """Format a Markdown table; columns of numbers are aligned to the right, others to the left."""
     rows = [[cell.replace("|", "\\|") for cell in row] for row in rows]
     columns = list(zip(header, *rows, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
@@ -119,12 +119,12 @@ def paragraph(text: str) -> str:
 
 
 def number(value: float, decimals: int) -> str:
-    """Show a number, or that there is none."""
+    """Format a number; UNKNOWN where it is not finite."""
     return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
 
 
 def means_with_stds(means: pd.Series, stds: pd.Series, decimals: int) -> list[str]:
-    """Show means and deviations, their decimal points below each other."""
+    """Format means and deviations, with the decimal points of the deviations aligned."""
     shown = [number(std, decimals) for std in stds]
     wide = max(map(len, shown))
     return [
@@ -134,7 +134,7 @@ def means_with_stds(means: pd.Series, stds: pd.Series, decimals: int) -> list[st
 
 
 def digits(value: float) -> str:
-    """Show two significant digits, without an exponent."""
+    """Format two significant digits without an exponent; UNKNOWN where it is not finite."""
     if not np.isfinite(value):
         return UNKNOWN
     rounded = f"{value:.1e}"
@@ -142,6 +142,6 @@ def digits(value: float) -> str:
 
 
 def listed(texts: Iterable[str]) -> str:
-    """Join as in a sentence: "a, b and c"."""
+    """Join texts as in a sentence: "a, b and c"."""
     *first, last = texts
     return f"{', '.join(first)} and {last}" if first else last

@@ -1,7 +1,7 @@
-"""Whether committed results can be trusted: whole, as they were written, and as their runs say.
+"""Checks that committed results are complete, unchanged, and as they follow from their runs.
 
-What must be there follows from the studies and the code, never from what lies in the folder, so
-that a file or a row that is gone leaves a gap. What follows from runs is made again from them.
+The expected files and rows follow from the studies and the code, never from the folder's content,
+so that a missing file or row is noticed. Whatever is made from runs is made again from them.
 """
 
 import re
@@ -32,27 +32,27 @@ from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_ke
 from sim.errors import SimError
 from ssac.errors import SsacError
 
-_SHOWN = 5  # faults of one kind
+_SHOWN = 5  # number of faults listed per finding
 _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
 _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
 _ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
 _NOT_OF_CONFIG = ("study", SHARD, "options", "figure")
-_OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns of which a flight's recording does not depend
+_OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns on which a flight's recording does not depend
 
 _UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
-"""What a check raises where a file is not there, or has another shape than it expects."""
+"""Errors of a check on a missing file, or on one with another structure than expected."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was checked."""
+    """The result of one check."""
 
     what: str
-    faults: tuple[str, ...] = ()  # none: all right
+    faults: tuple[str, ...] = ()  # empty: the check passed
 
     def lines(self) -> Iterator[str]:
-        """Show it: one line, and one more for each of the first faults."""
+        """Yield a line for the check, and one for each of the first faults."""
         yield f"{'differs' if self.faults else 'ok':8}{self.what}"
         yield from (f"        - {fault}" for fault in self.faults[:_SHOWN])
         if len(self.faults) > _SHOWN:
@@ -60,7 +60,7 @@ class Finding:
 
 
 def found(what: str, check: Callable[[], Iterable[str]]) -> Finding:
-    """Make a check; a file that is missing, or not what it should be, is a fault."""
+    """Run a check; a file that is missing or malformed is a fault."""
     try:
         return Finding(what, tuple(check()))
     except _UNLIKE as error:
@@ -70,7 +70,7 @@ def found(what: str, check: Callable[[], Iterable[str]]) -> Finding:
 def file_findings(
     results: Path, studies: Iterable[Study], others: Mapping[str, str] | None = None
 ) -> Iterator[Finding]:
-    """Check that every file is there, those of no study by their digests, and no other one."""
+    """Check that exactly the expected files are there, unchanged; `others` belong to no study."""
     digests = dict(others or {})
     files = {*digests, SUMS_FILE}.union(*({*one.files, *one.provenances} for one in studies))
     there = {p.relative_to(results).as_posix() for p in results.rglob("*") if not p.is_dir()}
@@ -83,7 +83,7 @@ def file_findings(
 
 
 def study_findings(study: Study, results: Results) -> Iterator[Finding]:
-    """Check a study: its provenances, its rows, all that is made of them, and its own checks."""
+    """Check a study's provenances, its rows, the files made from them, and its own conditions."""
     line = study.command_line(study.committed)
     for name, config in study.provenances.items():
         what = f"{name}: a clean commit, today's configuration, versions"
@@ -100,7 +100,7 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
 
 
 def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Finding]:
-    """Check that runs that several studies measure alike are the same in the files of all."""
+    """Check that runs that several studies share have the same values in all their files."""
     seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
     for study in studies:
         if study.runs is None or study.runs.table is not None or study.how is not How.SHARED:
@@ -112,7 +112,7 @@ def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Find
 def provenance_faults(
     results: Results, name: str, command: str, config: Mapping[str, Any]
 ) -> Iterator[str]:
-    """Say what is wrong with what a file is said to be made with."""
+    """Yield what is wrong with a file's provenance."""
     for one in results.provenances(name.removesuffix(PROVENANCE)):
         commit, line = str(one.get("commit")), str(one.get("command"))
         if not _CLEAN_COMMIT.fullmatch(commit):
@@ -137,7 +137,7 @@ def provenance_faults(
 
 
 def text_difference(committed: str, made: str) -> tuple[str, ...]:
-    """Say where two texts first differ."""
+    """Describe the first difference of two texts; empty if there is none."""
     pairs = zip_longest(committed.splitlines(), made.splitlines(), fillvalue="nothing")
     for number, (old, new) in enumerate(pairs, start=1):
         if old != new:
@@ -146,11 +146,11 @@ def text_difference(committed: str, made: str) -> tuple[str, ...]:
 
 
 def near(mine: float, other: float, digits: int) -> bool:
-    """Whether two numbers differ by one unit of the last of some digits at most."""
+    """Whether two numbers differ by at most one unit of the last of `digits` significant digits."""
     if not np.isfinite(other):
         return False
     unit = 10.0 ** (np.floor(np.log10(abs(other))) + 1 - digits) if other else 0.0
-    return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: units are no binary numbers
+    return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: decimal units are not exact in binary
 
 
 def _each(
@@ -158,7 +158,7 @@ def _each(
     wrong: Callable[[pd.DataFrame], "pd.Series[Any]"],
     said: Callable[["pd.Series[Any]"], str],
 ) -> Callable[[Results], list[str]]:
-    """Make a check that says something of each row of a table that is wrong."""
+    """Make a check that reports each wrong row of a table; `said` describes the row's fault."""
 
     def check(results: Results) -> list[str]:
         table = results.table(name)
@@ -185,7 +185,7 @@ def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
 def follows(
     name: str, column: str, formula: Callable[[pd.DataFrame], "pd.Series[float]"], within: float
 ) -> Callable[[Results], list[str]]:
-    """Make a check that a column's numbers are what others give, within what rounding leaves."""
+    """Make a check that a column follows from others by a formula, to within a tolerance."""
 
     def check(results: Results) -> list[str]:
         table = results.table(name)
@@ -197,12 +197,12 @@ def follows(
 
 
 def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
-    """Make a check that a column has no other values than some."""
+    """Make a check that a column has only the given values."""
     return _each(name, lambda t: ~t[column].isin(values), lambda row: f"{column} is {row[column]}")
 
 
 def scored_checks(name: str) -> tuple[Check, ...]:
-    """Make the checks of a file of runs that were scored (`lab.scored`), whatever methods find."""
+    """Make the checks of a file of scored runs (`lab.scored`) that hold for all methods."""
 
     def off(runs: pd.DataFrame) -> "pd.Series[bool]":
         t_d_ms = runs["t_d_ms"] if "t_d_ms" in runs else 1e3 * runs["sim.t_d_s"]
@@ -210,7 +210,7 @@ def scored_checks(name: str) -> tuple[Check, ...]:
         wrong = ~(off_ms.abs() <= _ROUNDING_MS)
         if "skew_ppm" in runs:
             wrong |= _unlike_skews(runs)
-        return wrong & runs["t_d_estimate_ms"].notna()  # of the others nothing is known
+        return wrong & runs["t_d_estimate_ms"].notna()  # the others have no estimate
 
     def recordings(results: Results) -> list[str]:
         runs = results.table(name)
@@ -231,7 +231,7 @@ def scored_checks(name: str) -> tuple[Check, ...]:
 
 
 def _unlike_skews(runs: pd.DataFrame) -> "pd.Series[bool]":
-    """Tell the runs (n,) whose errors of the skew are not those of their estimates."""
+    """Return a mask (n,) of the runs whose skew errors do not follow from their estimates."""
     off_ppm = (runs["skew_ppm"] - runs.get("sim.skew_ppm", 0.0)).abs() - runs["skew_error_ppm"]
     wrong = off_ppm.abs() > _ROUNDING_PPM + 1e-5 * runs["skew_error_ppm"].abs()
     return wrong | off_ppm.isna() & (runs["skew_ppm"].notna() | runs["skew_error_ppm"].notna())
@@ -264,7 +264,7 @@ def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
 
 @cache
 def cells_of(study: Study) -> Sequence[PlainCell]:
-    """List a study's cells, once."""
+    """Return a study's cells, which are listed only once."""
     return study.cells(**study.committed)
 
 
@@ -275,7 +275,7 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
     here = versions()
     if made.file.endswith(".png"):
         if any(one["versions"].get(key) != here[key] for one in made_with for key in _DRAWN_BY):
-            return ()  # drawn by another version: the checksum has to do
+            return ()  # drawn by other versions: its checksum must suffice
         same = (results.folder / made.file).read_bytes() == made.bytes_of(results)
         return () if same else ("it is another picture",)
     text, again = results.text(made.file), (made.bytes_of(results) or b"").decode()
@@ -286,12 +286,12 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
 
 
 def table_of_texts(text: str) -> pd.DataFrame:
-    """Read a table as it stands in its file."""
+    """Read a table with all cells as texts, exactly as in its file."""
     return pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
 
 
 def _with_last_digits_of(text: str, again: str) -> str:
-    """Take from a text the numbers that differ from those made again by a unit of the last."""
+    """Return `again` with the numbers of `text` that differ by a unit of the last digit at most."""
     theirs, mine = table_of_texts(text), table_of_texts(again)
     if theirs.shape != mine.shape or list(theirs) != list(mine):
         return again
@@ -317,7 +317,7 @@ def _unlike_others(
         try:
             key = (study.measure.row, cell.recordings, cell.inputs)
             where, other = seen.setdefault(key, (f"{file}, row {number}", row))
-        except TypeError:  # inputs that have no hash
+        except TypeError:  # the inputs have no hash
             return
         for name in row:
             if name in other and other[name] != row[name]:

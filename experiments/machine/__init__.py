@@ -1,1 +1,1 @@
-"""Speed and memory of each part, side by side in one run."""
+"""Benchmarks of the speed and memory of each part, measured in one run."""

@@ -1,4 +1,4 @@
-"""Time and memory of both sides on ever longer flights before two sizes of sensor.
+"""Time and memory of simulation and synchronisation for ever longer flights and two sensor sizes.
 
 Each point is a real flight of the default drone: `sim` records the pair with its frames to disk,
 then `ssac sync` reads it and finds offset and pose by its default method. The larger sensor has a
@@ -29,22 +29,22 @@ T_D_S = 0.05
 
 @dataclass(frozen=True)
 class Point:
-    """One recording to make and to synchronise."""
+    """One recording to simulate and to synchronise."""
 
     width_px: int
     height_px: int
     focal_px: float
     duration_s: float
-    events_per_s: float  # a camera makes, about
+    events_per_s: float  # approximate, of one camera
 
     @property
     def sensor(self) -> str:
-        """Name the sensor."""
+        """Return the sensor's name: its size in pixels."""
         return f"{self.width_px} x {self.height_px}"
 
     @property
     def config(self) -> SimConfig:
-        """Give what is simulated."""
+        """Return the configuration of the simulation."""
         default = SimConfig(t_d_s=T_D_S)
         return replace(
             default,
@@ -64,7 +64,7 @@ POINTS = tuple(
 
 @dataclass(frozen=True)
 class StepCell(PlainCell):
-    """One step of a point; the recording is made by the one before."""
+    """One step of a point; SYNCHRONISE reads the recording that SIMULATE made before."""
 
     point: Point
     step: str
@@ -77,9 +77,9 @@ class StepCell(PlainCell):
 
 @dataclass(frozen=True)
 class StepRow(RunRow):
-    """What a step took."""
+    """Time and memory of a step, and the error of its estimate."""
 
-    events_per_camera: float = np.nan  # of both, the mean
+    events_per_camera: float = np.nan  # mean of both cameras
     wall_s: float = np.nan
     cpu_s: float = np.nan
     peak_mb: float = np.nan
@@ -87,9 +87,9 @@ class StepRow(RunRow):
 
 
 def step_row(cell: StepCell, cache: Cache) -> StepRow:
-    """Take a step in this process, after a smaller one that loads the kernels.
+    """Run a step in this process, after a smaller one that loads the kernels.
 
-    All steps share the folder of the cache.
+    All steps share the cache's folder, in which the recordings lie.
     """
     smallest = cache.folder / "smallest"
     pair = smallest if cell.point == POINTS[0] else cache.folder / "pair"

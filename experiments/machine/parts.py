@@ -1,4 +1,4 @@
-"""Parts of the benchmark, each measured in a process of its own: none sees another's memory."""
+"""Parts of the benchmark, each run in a process of its own so that its peak memory is its own."""
 
 import resource
 import shutil
@@ -32,27 +32,27 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import MEANS, Source, opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method
 
-REPEATS = 5  # the best of as many is taken
+REPEATS = 5  # the fastest of so many runs counts
 N_POSES = 4000
 
 SYNC_MARKS_S = {"joint": 0.2, "tangency": 0.35}
-"""Of all but reading, for 1.1 million events a camera."""
+"""Marks of the processor time of each method without reading, for 1.1 million events a camera."""
 
 ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers end together
 TABLES_MARKS_S = {"from nothing": 2.0, "recordings cached": 0.2}
-"""Of a recording, by two workers: 300 of them in 10 minutes, and in one."""
+"""Marks of the wall time per recording by two workers: 300 in 10 minutes, and in one minute."""
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A figure, what it is held against, and the mark to reach."""
+    """A measured value, its unit, and the mark that it is to reach."""
 
     name: str
     value: float
     unit: str
-    mark: float = np.nan  # of the value; NaN: for information
+    mark: float = np.nan  # NaN: none, the value is for information
     higher_is_better: bool = False
 
     @property
@@ -66,20 +66,20 @@ class Measurement:
 
 @dataclass(frozen=True)
 class PartCell(PlainCell):
-    """One part."""
+    """The cell of one part of the benchmark."""
 
     part: str
 
 
 @dataclass(frozen=True)
 class PartRow(RunRow):
-    """What was measured."""
+    """The measurements of one part."""
 
-    measurements: list[dict[str, Any]] = field(default_factory=list)  # of `Measurement`
+    measurements: list[dict[str, Any]] = field(default_factory=list)  # fields of each `Measurement`
 
 
 def part_row(cell: PartCell, _: object) -> PartRow:
-    """Measure a part."""
+    """Run one part of the benchmark."""
     return PartRow("ok", "", [asdict(one) for one in PARTS[cell.part]()])
 
 
@@ -87,12 +87,12 @@ PART = Measure(load_nothing, part_row, PartRow)
 
 
 def peak_memory_mb() -> float:
-    """Return the most memory that this process has had."""
+    """Return the peak resident memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def best_seconds(work: Callable[[], Result]) -> tuple[float, Result]:
-    """Least processor time [s] of a few runs after a warm-up, and the result."""
+    """Return the least processor time [s] of REPEATS runs after a warm-up, and the result."""
     result = work()
     seconds = []
     for _ in range(REPEATS):
@@ -103,9 +103,9 @@ def best_seconds(work: Callable[[], Result]) -> tuple[float, Result]:
 
 
 def bench_rendering() -> list[Measurement]:
-    """Poses per second of crops of one flight, by the native renderer and by pyrender's OpenGL."""
+    """Measure the crops rendered per second, by the native renderer and by pyrender's OpenGL."""
     camera, drone = two_view_rig(90.0).cameras[0], quadrotor()
-    # As dense as adaptive sampling is, for neighbours to share their tile size as they do there.
+    # As dense as adaptive sampling, so that neighbours share their tile size as they do there.
     times_s: Array = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
     T_W_B = random_spline(SplineConfig(), np.random.default_rng(0)).poses(times_s)
     background = uniform_background(camera, 0.4)
@@ -126,7 +126,7 @@ def bench_rendering() -> list[Measurement]:
 
 
 def bench_recording() -> list[Measurement]:
-    """Wall time and peak memory of the default 20 s pair, frames and writing it included."""
+    """Measure wall time and peak memory of the default 20 s pair, with frames and writing."""
     short = SimConfig(spline=SplineConfig(duration_s=1.0))
     with tempfile.TemporaryDirectory() as folder:
         record_with_progress(short, 0, Path(folder) / "short")  # loads the kernels
@@ -140,7 +140,7 @@ def bench_recording() -> list[Measurement]:
 
 
 def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
-    """Processor time of each method on one pair, by default of 20 s, that has been read."""
+    """Measure each method's processor time on one pair, by default of 20 s, already read."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "pair"
         record(config or SimConfig(t_d_s=0.05), 0, folder, {})
@@ -157,14 +157,14 @@ def _timed(method: Method, files: Sequence[Source], rig: Cameras) -> Measurement
 
 
 def bench_tables() -> list[Measurement]:
-    """Wall time of 8 recordings with all methods and offsets, by one worker and by two.
+    """Measure the wall time of 8 recordings, all methods and offsets, by one worker and by two.
 
-    That of all recordings is theirs in proportion; it is not measured here. Start-up, some seconds
-    once per run, is not in it: each worker has done a small flight before.
+    The time of all recordings is extrapolated in proportion. The start-up of some seconds per run
+    is not included: each worker has done a small flight before.
     """
     cells = measured_cells()
     n_measured = len({(cell.sim, cell.seed) for cell in cells})
-    # Small flights, one for each worker, that load the code and its kernels.
+    # Small flights, one per worker, load the code and its kernels.
     small = replace(named_config(TABLES[0]), fixed={"sim.spline.duration_s": 2.0})
     seconds: dict[tuple[str, int], float] = {}
     peak_mb = 0.0
@@ -210,5 +210,5 @@ PARTS: Mapping[str, Callable[[], list[Measurement]]] = {
     "rendering": bench_rendering,
     "recording": bench_recording,
     "sync": bench_sync,
-    "tables": bench_tables,  # which has two workers
+    "tables": bench_tables,  # which starts two workers
 }

@@ -1,1 +1,1 @@
-"""The paper's tables, how ours compare with them, and the page of both."""
+"""The paper's tables, our own, their comparison, and the page that shows both."""

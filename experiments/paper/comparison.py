@@ -1,16 +1,16 @@
-"""Our tables beside the paper's, cell by cell and quantity by quantity.
+"""Statistical comparison of our tables with the paper's, by cell and quantity.
 
 The rule of a cell (`RULE`) is Welch's: the 95 % interval of the difference of the two means. Errors
-are skewed, but on both sides: where these draw from one distribution, the rule is wrong in at most
-5 % of the cells (tested). Logarithms, compared instead, are wrong in about 20 % where a few runs
-are gross errors, as with the correlation methods.
+are skewed, but on both sides: where both draw from one distribution, the rule is wrong in at most
+5 % of the cells (tested). A comparison of logarithms is wrong in about 20 % where a few runs are
+gross errors, as with the correlation methods.
 
-The ratio of ours to the paper's, of the geometric means over the cells of a table, is known to a
-factor: its 95 % interval is the ratio divided and multiplied by it. The factor is that of a normal
-logarithm whose variance is the sum of those of the cells' means, over their squares. Offsets of an
-angle share its flights, so their errors are taken to be the same; angles are independent.
+The 95 % interval of the ratio of our geometric mean over a table's cells to the paper's is from
+the ratio divided by a factor to the ratio times the factor. The logarithm of the ratio is taken as
+normal, with the relative variances of the cells' means. Offsets of an angle share its flights, so
+their errors are taken to be the same; angles are independent.
 
-Our flights may be more than the paper's; each verdict is also given by our first as many alone.
+Where we have more flights than the paper, each verdict is also given by as many of our first.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,16 +32,16 @@ PUBLISHED_SHA256 = {
     "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
     "published/esim_20.csv": "e1f7cc80787b7a1d7baaae7ac3e6586780f6fdcef967e381a0861c41c390cdb7",
 }
-"""Digests of the paper's tables as they were copied."""
+"""SHA-256 digests of the paper's tables as they were copied."""
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
 
 PUBLISHED_RUNS = 10
-"""Of each cell. All 30 published means of ZNCC_E are whole tenths of sums of multiples of its unit
-of 10 ms, and so are the deviations if they are taken over 10 runs, not over 10 - 1."""
+"""Number of runs in each cell of the paper. All 30 published means of ZNCC_E are tenths of sums of
+multiples of its unit of 10 ms, and so are the deviations if taken over 10 runs, not over 10 - 1."""
 
 PLACE = ["angle_deg", "t_d_ms"]
-"""Columns that say which cell of a table a row is."""
+"""Columns that identify the cell of a table."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class PublishedError:
 
     method: str
     error: str
-    published: str  # start of its columns in the published table
+    published: str  # prefix of its columns in the published table
     resolution: float  # unit of the last printed digit
 
     @property
     def name(self) -> str:
-        """Start of its columns in our table."""
+        """Prefix of its columns in our table."""
         return f"{self.method}_{self.error}"
 
 
@@ -99,12 +99,12 @@ REASONS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "t_d_ms": (50.0,),
     },
 }
-"""Why cells do not agree, and which, by values of columns: found by looking into the runs. It is
-noted beside those of the cells that do not."""
+"""Reasons why cells do not agree, found by inspection of the runs, and the cells that each may
+explain, by values of columns. A reason is noted beside those of its cells that do not agree."""
 
 
 class Sample(NamedTuple):
-    """What is known of the errors in cells."""
+    """Statistics of the errors in each cell."""
 
     mean: ArrayLike
     std: ArrayLike  # over n, not n - 1
@@ -114,10 +114,10 @@ class Sample(NamedTuple):
 def difference_interval(
     ours: Sample, published: Sample, resolution: float, confidence: float
 ) -> tuple[Array, Array]:
-    """Welch's confidence interval of the difference of two means, ours less the published one.
+    """Return Welch's confidence interval of the difference of two means, ours minus the published.
 
     Half a unit of the last printed digit, `resolution`, is added on both sides. Both ends are NaN
-    where a side has fewer than two runs.
+    where ours or the published mean has fewer than two runs.
     """
     (mean1, std1, n1), (mean2, std2, n2) = (
         np.array(side, np.float64) for side in (ours, published)
@@ -135,8 +135,8 @@ def difference_interval(
 
 
 def verdicts_of(low: ArrayLike, high: ArrayLike) -> NDArray[np.str_]:
-    """Say "agrees", "better" or "differs" of the 95 % intervals of differences."""
-    is_better, is_above = np.less(high, 0.0), ~np.less_equal(low, 0.0)  # or unknown
+    """Return the verdict "agrees", "better" or "differs" of each 95 % interval of a difference."""
+    is_better, is_above = np.less(high, 0.0), ~np.less_equal(low, 0.0)  # or NaN
     return np.where(is_better, "better", np.where(is_above, "differs", "agrees"))
 
 
@@ -162,12 +162,12 @@ def comparison_table(
 ) -> pd.DataFrame:
     """Compare our tables, by duration [s], with the published ones cell by cell.
 
-    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. Each row
-    is a number that both have, in the paper's order: means, deviations, our runs that are "ok"
-    (`n_ours`), the 95 % interval of the difference, the verdicts, the same by the first flights
-    (`first_*`), and a note. The verdicts are RULE's, whether ours is of the paper's size or better
-    (a one-sided test at 5 % does not find our mean larger: the lower end of the 90 % interval,
-    widened likewise, is not above 0), and whether our mean is at most the published one.
+    `first` are our tables of the first PUBLISHED_RUNS flights alone, if we have more. Each row
+    is a number in both tables, in the paper's order: means, deviations, the number of our "ok"
+    runs (`n_ours`), the 95 % interval of the difference, the verdicts, the same for the first
+    flights (`first_*`), and a note. The verdicts are RULE's, whether ours is of the paper's size or
+    better (a one-sided test at 5 % does not find our mean larger: the lower end of the 90 %
+    interval, widened likewise, is at most 0), and whether our mean is at most the published one.
     """
     parts = []
     for duration_s, theirs in published.items():
@@ -189,7 +189,7 @@ def comparison_table(
 
 
 def _compared(both: pd.DataFrame, early: pd.DataFrame, quantity: PublishedError) -> pd.DataFrame:
-    """Compare one number of all rows of the published table and of ours, all and the first."""
+    """Compare a quantity in all rows with the published one, by all our flights and the first."""
     ours, first = _ours(both, quantity), _ours(early, quantity)
     mean, std = (both[f"{quantity.published}_{part}"] for part in ("mean", "std"))
     published = Sample(mean, std, np.full(len(both), PUBLISHED_RUNS))
@@ -220,19 +220,19 @@ def _compared(both: pd.DataFrame, early: pd.DataFrame, quantity: PublishedError)
 
 
 def _ours(table: pd.DataFrame, quantity: PublishedError) -> Sample:
-    """Give what our table knows of a quantity; a method may lack it in few flights."""
+    """Return our statistics of a quantity, NaN where a method gives it in no flight."""
     unknown = np.full(len(table), np.nan)
     mean, std = (table.get(f"{quantity.name}_{part}", unknown) for part in ("mean", "std"))
     return Sample(mean, std, (table["n_runs"] - table[f"{quantity.method}_failed"]).astype(int))
 
 
 def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
-    """Sum up each quantity over the cells of a duration.
+    """Summarise each quantity over the cells of a duration.
 
-    The ratios are of our mean to the published one, `ratio` their geometric mean and `factor` that
-    to which it is known; `visible` is the difference that the median cell would just tell, over the
-    published mean. By our first flights alone they are `first_*`; `changed` counts the cells whose
-    verdict is another by all. `factor_paper` is what the paper's flights alone leave.
+    `ratio` is the geometric mean of the ratios of our mean to the published one, and `factor` its
+    uncertainty (`ratio_factor`); `visible` is the smallest difference detected in the median cell,
+    over the published mean. `first_*` are by our first flights alone; `changed` counts the cells
+    whose verdict differs between these and all. `factor_paper` is by the paper's scatter alone.
     """
     rows = []
     order = [quantity.name for quantity in PUBLISHED_ERRORS]
@@ -265,10 +265,10 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
 
 
 def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours")) -> float:
-    """Find the factor, at least 1, to which the ratio over cells of one duration is known.
+    """Return the factor, at least 1, of the 95 % interval of the ratio over cells of one duration.
 
     `sides` says whose scatter counts: "published", "ours" of all flights, "first" of our first
-    ones. NaN where a cell has fewer than two runs or a mean of 0.
+    flights. NaN where a cell has fewer than two runs or a mean of 0.
     """
     published: pd.Series = pd.Series(PUBLISHED_RUNS, part.index)
     runs = {"published": published, "ours": part["n_ours"], "first": part["first_n"]}
@@ -276,7 +276,7 @@ def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours"
     for side in sides:
         means, stds, n = part[f"{side}_mean"], part[f"{side}_std"], runs[side]
         known = (means > 0.0) & (n > 1)
-        # Standard errors over the means; deviations are over n.
+        # Relative standard errors; the deviations are over n.
         errors = stds / (means * np.sqrt((n - 1).where(known)))
         variance += sum(
             float(of_angle.to_numpy(np.float64).sum()) ** 2

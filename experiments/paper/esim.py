@@ -1,7 +1,7 @@
-"""The paper's simulation tables: their grids, what they measure, and their rows, made of runs.
+"""The paper's simulation tables: their grids, their quantities, and their rows, made from runs.
 
-A run is one method on one flight with one offset. Whether all are there, each once, is for
-`lab.study.check_runs` to say; failed runs are counted, and enter no mean.
+A run is one method on one flight with one offset. `lab.study.check_runs` checks that the runs are
+complete, without repetition; failed runs are counted, and enter no mean.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,25 +21,25 @@ from ssac.pipeline.registry import METHODS
 class Quantity:
     """One error of an estimate; less is better."""
 
-    parameter: str  # of the pose and the clock: start of its columns
-    unit: str  # end of its columns
+    parameter: str  # parameter of the pose or the clock: prefix of its columns
+    unit: str  # suffix of its columns
     symbol: str  # in plain text
-    tex: str  # in a figure
-    mark: float  # that no cell's mean of `tangency` is to exceed
+    tex: str  # TeX, for figures
+    mark: float  # upper limit for `tangency`'s mean in each cell
 
     @property
     def column(self) -> str:
-        """Name in tables of runs."""
+        """Name of its column in tables of runs."""
         return f"{self.parameter}_error_{self.unit}"
 
     @property
     def heading(self) -> str:
-        """Head of a column in plain text."""
+        """Heading of a column, in plain text."""
         return f"{self.symbol} [{self.unit}]"
 
     @property
     def label(self) -> str:
-        """Of a figure's axis."""
+        """Label of a figure's axis."""
         return f"error of {self.tex} [{self.unit}]"
 
 
@@ -48,10 +48,10 @@ R_ERROR = Quantity("r", "deg", "R", "R", 0.1)
 T_ERROR = Quantity("t", "deg", "t", "t", 0.05)
 
 ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
-"""All of them, by their columns."""
+"""All quantities, by the names of their columns."""
 
 NOISY_MARKS = {T_D_ERROR: 0.1, R_ERROR: 0.12, T_ERROR: 0.06}
-"""The marks on the tables' flights with the noise of a DAVIS346."""
+"""Marks for the tables' flights with the noise of a DAVIS346."""
 
 POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
 
@@ -80,21 +80,21 @@ def n_recordings() -> int:
 
 
 def offset_ms(cell: Cell) -> float:
-    """Offset of a cell [ms], as it is read from `runs.csv`: of six digits."""
+    """Return a cell's offset [ms], rounded to six decimals, as it is read from `runs.csv`."""
     return round(1e3 * cell.t_d_s, 6)
 
 
 def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:
-    """Yield (number, seed) of flights of the duration and angle of a configuration."""
+    """Yield (number, seed) of each flight, for the duration and angle of a configuration."""
     for flight in flights:
         yield flight, flight_seed(sim.spline.duration_s, sim.angle_deg, flight)
 
 
 ANGLES_DEG = tuple(sorted({cell.sim.angle_deg for cell in table_cells()}))
-"""Those of the tables, in rising order: the studies fly at the same."""
+"""Angles of the tables, in rising order; the studies use the same."""
 
 DURATIONS_S = tuple(sorted({cell.sim.spline.duration_s for cell in table_cells()}))
-"""Of the tables, in rising order."""
+"""Durations of the tables, in rising order."""
 
 RUN_COLUMNS = (
     "duration_s", "angle_deg", "t_d_ms", "flight", "seed", "method", "status", "reason",
@@ -104,13 +104,13 @@ RUN_COLUMNS = (
 )  # fmt: skip
 
 KEY = ["duration_s", "angle_deg", "t_d_ms", "flight", "method"]
-"""Columns that say which run a row is; `seed` beside them is what `ssac simulate` makes it of."""
+"""Columns that identify the run of a row; its `seed` is the one that `ssac simulate` takes."""
 
 _WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
 
 
 def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Put runs into the order of `runs.csv`; further columns go, counts become whole numbers."""
+    """Sort runs and columns as in `runs.csv`; drop other columns and turn counts into integers."""
     runs = in_order(runs.reindex(columns=list(RUN_COLUMNS)), KEY)
     return runs.astype(dict.fromkeys(_WHOLE, "Int64"))
 
@@ -137,13 +137,13 @@ def pose_methods(runs: pd.DataFrame) -> list[str]:
 
 
 def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
-    """Mean errors of all methods on the recordings of one duration, in the paper's row order.
+    """Return all methods' mean errors on the recordings of one duration, in the paper's row order.
 
-    Runs are as `ordered_runs` takes them; those of other durations only tell which methods give a
+    Runs are as `ordered_runs` takes them; those of other durations only say which methods give a
     pose. Columns are `angle_deg`, `t_d_ms`, `n_runs` (flights), then for each method the mean and
     the standard deviation (over the number of runs, as in the paper) of each error, and
-    `<method>_failed`, the number of runs whose status is not "ok". These do not enter the means;
-    where no run is "ok" the means are NaN.
+    `<method>_failed`, the number of runs whose status is not "ok". Failed runs do not enter the
+    means; where no run is "ok" the means are NaN.
     """
     runs = ordered_runs(runs)
     poses = pose_methods(runs)
@@ -151,7 +151,7 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
     rows = []
     for (angle_deg, t_d_ms), cell in of_duration.groupby(["angle_deg", "t_d_ms"]):
         row = {"angle_deg": angle_deg, "t_d_ms": t_d_ms, "n_runs": cell["flight"].nunique()}
-        # NumPy, as pandas takes 1 ms for each of the thousands of selections.
+        # NumPy, since pandas takes 1 ms for each of the thousands of selections.
         of, is_ok = cell["method"].to_numpy(), cell["status"].to_numpy() == "ok"
         errors = {name: cell[name].to_numpy(np.float64) for name in ERRORS}
         for method in method_order(of):
@@ -166,11 +166,11 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
 
 
 def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
-    """Make the table of each duration [s] that the runs have."""
+    """Return the table of each duration in the runs, by duration [s]."""
     return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
 
 
 def describe(run: Mapping[Any, Any]) -> str:
-    """Name a run by its key, for messages."""
+    """Describe a run by its key, for messages."""
     names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {flight:g}, {method}"
     return names.format_map(run)

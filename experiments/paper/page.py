@@ -1,6 +1,6 @@
-"""`results/README.md`: the numbers beside the paper's, for people to read.
+"""The page `results/README.md`, which shows our numbers beside the paper's for people to read.
 
-What its tables show is laid out here, for the HTML report too; the page's words stand in
+Its tables are made here, for the HTML report too; the page's text stands in the template
 `page.md.jinja`. Every mean also stands in one of the CSV files.
 """
 
@@ -31,7 +31,7 @@ from experiments.paper.esim import ERRORS, POSE_ERRORS, T_D_ERROR, method_order,
 
 
 class Table(NamedTuple):
-    """Cells as they are shown."""
+    """A table's headings and cells as texts."""
 
     head: list[str]
     rows: list[list[str]]
@@ -53,7 +53,7 @@ def results_page(
     comparison: pd.DataFrame,
     provenance: Mapping[str, Any],
 ) -> str:
-    """Write the page of the runs, their tables and the comparison; the provenance is the runs'."""
+    """Render the page of the runs, their tables and the comparison; `provenance` is of the runs."""
     return _PAGES.get_template("page.md.jinja").render(
         page_content(runs, tables, comparison),
         flights=" and ".join(
@@ -72,7 +72,7 @@ def results_page(
 def page_content(
     runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame], comparison: pd.DataFrame
 ) -> dict[str, Any]:
-    """Lay out the tables and counts of the page, whatever it is written in."""
+    """Return the page's tables and counts, independent of its markup."""
     summary = summary_table(comparison)
     differing = comparison[comparison["verdict"] == "differs"]
     return {
@@ -100,7 +100,7 @@ def page_content(
 
 
 def label(method: str, error: str) -> str:
-    """Name a mean error for the head of a column."""
+    """Return the heading of a column of mean errors."""
     return f"`{method}` {ERRORS[error].heading}"
 
 
@@ -133,7 +133,7 @@ _DIFFERENCES = {
     "95 % interval of the difference": "{difference_low:.3f} to {difference_high:.3f}",
     "reason": "{note}",
 }
-"""By its head: what a column shows of a row."""
+"""_AGAINST, _FURTHER and _DIFFERENCES: formats of a row's values, by the column's heading."""
 
 
 def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
@@ -143,7 +143,7 @@ def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
 
 
 def _changed_verdicts(comparison: pd.DataFrame) -> Table:
-    """List the cells whose verdict changed, those that changed alike in one row."""
+    """List the cells whose verdict changed; those of a quantity that changed alike share a row."""
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
     rows = []
     groups = changed.groupby(["quantity", "duration_s", "first_verdict", "verdict"])
@@ -158,7 +158,7 @@ def _changed_verdicts(comparison: pd.DataFrame) -> Table:
 
 
 def _growth(comparison: pd.DataFrame) -> Table:
-    """Mean errors of the correlation methods by angle, ours and the paper's."""
+    """Tabulate the correlation methods' mean errors by angle, ours and the paper's."""
     angles = [f"{angle:g} deg" for angle in sorted(comparison["angle_deg"].unique())]
     rows = []
     chosen = comparison[comparison["quantity"].str.startswith("zncc")]
@@ -174,7 +174,7 @@ def _growth(comparison: pd.DataFrame) -> Table:
 def _flights(
     runs: pd.DataFrame, duration_s: float, table: pd.DataFrame, comparison: pd.DataFrame
 ) -> dict[str, Any]:
-    """Lay out one of the paper's tables, and the methods that it does not have."""
+    """Return the tables of one duration: of the paper's methods, and of all others."""
     part = comparison[comparison["duration_s"] == duration_s]
     published = {quantity.method for quantity in PUBLISHED_ERRORS}
     methods = method_order(runs.loc[runs["duration_s"] == duration_s, "method"])
@@ -190,7 +190,7 @@ def _flights(
 
 
 def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table:
-    """Ours, the paper's and the verdict, one row for each angle and offset."""
+    """Tabulate our mean, the paper's and the verdict, one row for each angle and offset."""
     columns: list[tuple[str, list[str]]] = []
     for quantity in PUBLISHED_ERRORS:
         chosen = part[part["quantity"] == quantity.name]
@@ -205,7 +205,7 @@ def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table
 
 
 def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table | None:
-    """Errors (method, error) of the table, one row for each angle and offset; None without any."""
+    """Tabulate errors (method, error), one row for each angle and offset; None without errors."""
     columns = _places(table)
     for method, error in errors:
         means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))

@@ -1,7 +1,7 @@
-"""The report: all results and one recording on an HTML page that needs no other file.
+"""The report shows all results and one recording on an HTML page that needs no other file.
 
-Its tables are those of `results/README.md`. The player shows a flight whose camera 2 is set ahead
-by a known offset, estimated as for any recording; the truth is for the words beside it.
+Its tables are those of `results/README.md`. The player shows a flight with camera 2's clock set
+ahead by a known offset, estimated as for any recording; only the text beside it uses the truth.
 """
 
 import base64
@@ -40,7 +40,7 @@ from ssac.pipeline.api import chain_of
 from ssac.pipeline.plots import d_avg_px
 
 METHOD = "tangency"
-T_D_S = 0.5  # of the player's flight: large enough that both views are plainly apart
+T_D_S = 0.5  # of the player's flight: large enough to be seen between the views
 
 _FIGURES = {
     "error_vs_angle": "make figures",
@@ -51,9 +51,9 @@ _FIGURES = {
     "fig4_epipolar": "make figures",
     "fig5_d_avg": "make figures",
 }
-"""What makes them; the page has their words."""
+"""Figures, with the command that makes each; their captions stand in the page's template."""
 
-_SOUND_SHARE = 0.9  # of a method's runs give an estimate, or it cannot be called the best
+_SOUND_SHARE = 0.9  # least share of runs with an estimate for the best method
 
 
 def report_command(
@@ -71,11 +71,11 @@ def report_command(
 
 
 def read_results(folder: Path) -> dict[str, Any]:
-    """Lay out what the page shows of a folder; SsacError names what makes a missing file."""
+    """Return the page's content from a folder; SsacError names the command for a missing file."""
     results = Results(folder)
     with _made_by("make tables"):
         runs, compared = runs_of(results), comparison(results)
-        made: dict[str, list[str]] = {}  # each way that results were made once, with their names
+        made: dict[str, list[str]] = {}  # distinct provenances, each with the names of its results
         for name in sorted(
             {"esim_20", *(one.name.split(".")[0] for one in folder.glob(f"*{PROVENANCE}"))}
         ):
@@ -111,7 +111,7 @@ def _png(folder: Path, name: str, command: str) -> bytes:
 
 
 def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
-    """Sum up all runs: the best method that is not given the pose, if any is good enough."""
+    """Summarise all runs; `best` is the reliable method with a pose and the least t_d error."""
     ok = answered(runs)
     means = ok.groupby("method")[list(ERRORS)].mean()
     # With a pose, and reliable: the mean of a few lucky runs says nothing.
@@ -132,12 +132,12 @@ def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Animation:
-    """What the player draws, and the estimate behind it."""
+    """The player's data, and the estimate that it shows."""
 
     estimate: Estimate
     errors: Score
     before_px: float  # d_avg with the clocks as recorded
-    after_px: float  # and with the offset found
+    after_px: float  # d_avg with the estimated offset
     player: dict[str, Any]
 
 
@@ -155,7 +155,7 @@ def make_animation(folder: Path) -> Animation:
 
 
 def report_page(content: dict[str, Any], animation: Animation) -> str:
-    """Lay out the page of `read_results` and an animation: the same input gives the same bytes."""
+    """Render the page of `read_results` and an animation; the same input gives the same bytes."""
     environment = html_report.environment(PackageLoader("experiments.report", "page"))
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     environment.filters["size_px"] = lambda png: np.frombuffer(png[16:24], ">u4").tolist()
@@ -176,6 +176,6 @@ def report_page(content: dict[str, Any], animation: Animation) -> str:
 
 
 def _words(text: str) -> Markup:
-    """Write the Markdown of a table's cell as HTML."""
+    """Convert the Markdown of a table's cell to HTML."""
     coded = re.sub(r"`(.*?)`", r"<code>\1</code>", str(escape(text)))
     return Markup(re.sub(r"\*\*(.*?)\*\*", r"<b>\1</b>", coded))

@@ -1,1 +1,1 @@
-"""One recording at a time: simulated, shown, measured."""
+"""Commands that simulate, show or measure one recording at a time."""

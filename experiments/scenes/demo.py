@@ -1,4 +1,4 @@
-"""The main chain on one flight, from nothing to a figure and a report: `ssac demo`."""
+"""`ssac demo`: simulate one flight, estimate offset and pose, and draw a figure and a report."""
 
 import json
 import shutil
@@ -56,7 +56,7 @@ def demo_command(
 
 
 def is_of_a_demo(folder: Path) -> bool:
-    """Tell whether a folder is what an earlier demo recorded, not something of the user's."""
+    """Whether a folder holds the recording of an earlier demo, and nothing of the user's."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         return bool(truth["provenance"]["config"] == plain(DEMO))
@@ -64,7 +64,7 @@ def is_of_a_demo(folder: Path) -> bool:
 
 
 def comparison(estimate: Estimate, truth: Truth) -> str:
-    """Lay an estimate out beside the truth, with its errors."""
+    """Format an estimate beside the ground truth, with its errors."""
     if estimate.status != "ok" or estimate.R is None or estimate.t is None:
         return f"{estimate.method}: {estimate.status}: {estimate.reason}"
     errors = score(estimate, truth.t_d_s, truth.R, truth.t)

@@ -1,6 +1,6 @@
-"""The options of `ssac simulate`: each but a few sets one field of a configuration.
+"""The options of `ssac simulate`, most of which set one field of a configuration.
 
-Such an option has the type and the default of its field, so that the two cannot come apart.
+Such an option takes its type and default from the field, so that option and field always agree.
 """
 
 from collections.abc import Mapping
@@ -32,9 +32,9 @@ _ON = SimConfig().sensor.threshold_on
 
 @dataclass(frozen=True)
 class SimOption(Option):
-    """One option; its field is of SimConfig, or of DisturbConfig after `disturb.`, dotted."""
+    """One option; its field is a dotted name in SimConfig, or in DisturbConfig after `disturb.`."""
 
-    type: Any = None  # None: the field's, as is the default then
+    type: Any = None  # None: type and default are the field's
 
     @property
     def parameter(self) -> tuple[Any, Any]:
@@ -174,11 +174,11 @@ OPTIONS: Mapping[str, SimOption] = {
         "figures", "Print statistics of the scene beside those of the authors' sample."
     )),
 }  # fmt: skip
-"""By the name of the parameter, in the order of the help."""
+"""Options by the name of the command's parameter, in the order of the help."""
 
 
 def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbConfig]:
-    """Make the configurations that options ask for; those that set no field are left out."""
+    """Make configurations of the options that set fields, and of `more`, fields of SimConfig."""
     values = {OPTIONS[name].field: value for name, value in options.items() if OPTIONS[name].field}
     disturb = {name: values.pop(name) for name in list(values) if name.startswith(_DISTURB)}
     of_disturb = {name.removeprefix(_DISTURB): value for name, value in disturb.items()}
@@ -186,7 +186,7 @@ def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbC
 
 
 def changed(default: Changed, values: Mapping[str, Any]) -> Changed:
-    """Change fields by dotted names, all at once: a configuration checks them together."""
+    """Set fields by dotted names, all at once, since a configuration checks them together."""
     config: Any = default
     changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
     for name, value in values.items():
@@ -202,7 +202,7 @@ def changed(default: Changed, values: Mapping[str, Any]) -> Changed:
 
 
 def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
-    """Make the sensor that the options ask for: what is given takes the place of the preset's."""
+    """Return the sensor that the options set; each given value replaces the preset's."""
     preset, noise = options["preset"], options["noise"]
     for name, value, known in (("noise", noise, PRESETS), ("preset", preset, SENSOR_PRESETS)):
         if value is not None and value not in known:
@@ -224,7 +224,7 @@ def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
 
 
 def _parsed(effect: str) -> tuple[str, Any]:
-    """Read a name and a value: a field of `SensorEffects`."""
+    """Parse NAME=VALUE, where the name is a field of `SensorEffects`."""
     name, equals, text = (part.strip() for part in effect.partition("="))
     types = {one.name: type(getattr(SensorEffects(), one.name)) for one in fields(SensorEffects)}
     if not equals or name not in types:

@@ -1,4 +1,4 @@
-"""How a simulated recording looks to the method, beside the public sample of the authors."""
+"""Statistics of a simulated recording as the method sees it, beside the authors' public sample."""
 
 from dataclasses import astuple, dataclass
 from typing import Annotated
@@ -19,8 +19,8 @@ from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 
-SLOPE_STEP_S = 0.010  # the slope of d_avg is read 10 ms on each side of the truth
-_WIDTH_QUANTILES = (0.01, 0.99)  # of the columns of a window's events: its width without strays
+SLOPE_STEP_S = 0.010  # d_avg's slope is measured from 10 ms on each side of the truth
+_WIDTH_QUANTILES = (0.01, 0.99)  # of the events' x in a window: its width without outliers
 
 SHOWN = (
     ("median image speed [px/s]", "198", "{speed_px_s:.0f}"),
@@ -31,32 +31,32 @@ SHOWN = (
     ("width in the event image [px]", "20-45", "{narrow_px:.0f}-{wide_px:.0f}"),
     ("events per camera", "", "{n_events:.0f}"),
 )
-"""What it is, in the authors' sample, and of `SceneFigures`."""
+"""For each quantity: name, value in the authors' sample, and format of `SceneFigures`."""
 
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """How a recording looks to the method, at the true offset and with the true F."""
+    """Statistics of a recording at the true offset and with the true fundamental matrix F."""
 
     speed_px_s: float  # median over both cameras
     n_valid: float  # sample times valid in both views
     n_samples: float
-    mean_distance_px: float  # point to epipolar line
+    mean_distance_px: float  # of a point from its epipolar line
     median_distance_px: float
     slope_px: float  # rise of d_avg 10 ms off the true offset
-    narrow_px: float  # width, 5th percentile over the valid sample times
-    wide_px: float  # and 95th
+    narrow_px: float  # 5th percentile of the width over the valid sample times
+    wide_px: float  # 95th percentile
     n_events: float  # mean per camera
 
 
 def scene_figures(recording: Recording) -> SceneFigures:
-    """Measure a recording."""
+    """Return the statistics of a recording."""
     rig = rig_of(recording, with_extrinsics=True)
     return pair_figures(*observations(recording), rig, recording.truth.t_d_s)
 
 
 def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
-    """Measure what two cameras recorded; the rig and the offset are the true ones."""
+    """Return the statistics of two cameras' recordings, by the true rig and the true offset."""
     config = Config()
     views = Chain((cam1, cam2), rig, config).views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
@@ -99,7 +99,7 @@ def scene_command(
 
 
 def scene_table(figures: SceneFigures) -> str:
-    """Lay the figures out beside those of the authors' sample, as a Markdown table."""
+    """Format the statistics beside those of the authors' sample, as a Markdown table."""
     from experiments.lab.summary import markdown_table
 
     rows = [(name, theirs, ours.format_map(vars(figures))) for name, theirs, ours in SHOWN]
@@ -107,7 +107,7 @@ def scene_table(figures: SceneFigures) -> str:
 
 
 def _widths_px(camera: Observation, times_s: Array, half_window_s: float) -> list[float]:
-    """Width of the event image around each time on the camera's clock [px]."""
+    """Return the width [px] of the event image around each time on the camera's clock."""
     t_us, x = camera.events["t"], camera.events["x"]
     first = np.searchsorted(t_us, (times_s - half_window_s) * 1e6)
     last = np.searchsorted(t_us, (times_s + half_window_s) * 1e6)

@@ -1,4 +1,4 @@
-"""`ssac simulate`: event cameras that watch one drone, recorded into a folder."""
+"""`ssac simulate`: simulation of event cameras that watch one drone, written to a folder."""
 
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -33,7 +33,7 @@ from ssac.track.observation import Observation
 
 @dataclass(frozen=True)
 class ManyCameras(SimConfig):
-    """A recording by equal cameras before equal backgrounds; each clock is `t_d_s` on."""
+    """Equal cameras before equal backgrounds; camera k + 1's clock is offset by k `t_d_s`."""
 
     n_cameras: int = 3
 
@@ -48,7 +48,7 @@ class ManyCameras(SimConfig):
             raise SimError("background: more than two cameras have one image for all, or none")
 
     def scene(self, seed: int) -> Scene:
-        """Build the scene of two cameras, with more of them."""
+        """Build the scene of two cameras, and place all cameras in it."""
         two, numbers = super().scene(seed), range(self.n_cameras)
         first, *_ = two.rig.cameras
         placed = look_at_rig([self.angle_deg * k for k in numbers], self.distance_m).cameras
@@ -74,7 +74,7 @@ def simulate_command(
         given["distortion"] = ()
     config, disturb = chosen(
         given,
-        # The box of random positions, and the circle that keeps clear of the cameras.
+        # The box of random positions, and the circle that keeps the drone clear of the cameras.
         spline=SplineConfig(
             multiplier_xyz_m=tuple(spread * one for one in default.multiplier_xyz_m),
             max_radius_m=spread * default.max_radius_m,
@@ -91,7 +91,7 @@ def simulate_command(
     check_folder(out_dir, recording_bytes(config) * n_cameras // 2)
     config = drawable(config)
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
-    remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
+    remove_left_over(existing, out_dir.name)  # from a run that was killed while writing
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
     typer.echo(summary(recorded, out_dir))
     if given["figures"]:
@@ -105,7 +105,7 @@ def simulate_command(
 
 
 def drawable(config: SimConfig) -> SimConfig:
-    """Leave the comparison with OpenGL out where pyrender is not installed."""
+    """Return the configuration, without the check against OpenGL if pyrender is not installed."""
     if find_spec("pyrender") is not None:
         return config
     return replace(config, render=replace(config.render, check=False))
@@ -118,7 +118,7 @@ def record_with_progress(
     text: bool = False,
     disturb: DisturbConfig | None = None,
 ) -> Recorded:
-    """Simulate into a folder, and show on stderr how far it is."""
+    """Simulate a recording into a folder, with progress on stderr."""
     provenance = {"config": plain(config), "seed": seed, "versions": versions()}
     with (
         compilation_told(),
@@ -140,7 +140,7 @@ def record_with_progress(
 
 
 def summary(recorded: Recorded, out_dir: Path) -> str:
-    """Say in a few lines what was recorded, what drew it and how well, and where it lies."""
+    """Describe in a few lines what was recorded, the renderer and its check, and the folder."""
     flight, gl, check = recorded.flight, recorded.flight.gl, recorded.flight.check
     lines = [
         f"{camera.name}: {n_events} events, {n_frames} frames"
@@ -162,7 +162,7 @@ def summary(recorded: Recorded, out_dir: Path) -> str:
 
 
 def _drone(name: str) -> dict[str, Any]:
-    """Tell a built-in drone's name from a mesh file's: fields of a SimConfig."""
+    """Return fields of SimConfig for a built-in drone or a mesh file; SimError if it is neither."""
     if name in DRONES:
         return {"drone": name}
     if not Path(name).exists():

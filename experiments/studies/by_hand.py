@@ -3,8 +3,8 @@
 A user should not need a setting that the default could have found out. Of each recording the
 default is judged; where it is not right, eight settings are tried that a user would try.
 
-    ssac by-hand --first 1962                            # what is committed; kinds take turns
-    ssac by-hand --base 1 --recordings 72 --out out    # numbers 0 to 71 of another base
+    ssac by-hand --first 1962                           # what is committed; kinds take turns
+    ssac by-hand --base 1 --recordings 72 --out out     # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 
 Each recording is drawn from a base seed and its number alone, so any range of numbers may be looked
