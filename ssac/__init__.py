@@ -6,9 +6,9 @@
     print(result.summary())
     result.t_d_s, result.R, result.t
 
-Nothing here knows the truth. All that a method of your own needs is here too: see docs/methods.md.
+Nothing here knows the ground truth. A method of your own finds all it needs here: docs/methods.md.
 
-A name is imported when it is first asked for: no help waits for compilers and solvers.
+A name is imported when it is first used, so that help texts do not wait for compilers and solvers.
 """
 
 import re
@@ -60,7 +60,7 @@ if TYPE_CHECKING:  # the list of public names, which is read below too
     from ssac.track.motion import ObjectMotion as ObjectMotion
     from ssac.track.observation import Observation as Observation
 
-    # Functions of methods, for those who check types: every other method has its own too.
+    # Functions of these methods, for type checkers; every other method has one too.
     ssac: _Function
     albl: _Function
     event_rate: _Function
@@ -75,13 +75,13 @@ if TYPE_CHECKING:  # the list of public names, which is read below too
 
 @cache
 def _homes() -> dict[str, str]:
-    """Read off this file in which module each public name is defined."""
+    """Read from this file in which module each public name is defined."""
     text = Path(__file__).read_text(encoding="utf-8")
     return {name: module for module, name in re.findall(r"from (\S+) import (\w+) as \2\n", text)}
 
 
 def _names() -> list[str]:
-    """List all public names; the module's own is left alone: the paper's method is `ssac.ssac`."""
+    """List all public names, but not the method `ssac.ssac`, which has the package's name."""
     return sorted({*_homes(), *_functions()} - {"ssac"})
 
 
@@ -95,7 +95,7 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_names()})
 
 
-if not TYPE_CHECKING:  # where types are checked, a name that is not above is an error
+if not TYPE_CHECKING:  # a type checker reports names that are not listed above
 
     def __getattr__(name: str) -> object:
         if name == "__all__":

@@ -1,4 +1,4 @@
-"""The types of arrays that functions take and give; docstrings say the shapes."""
+"""The array types of arguments and results; docstrings state the shapes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,4 +9,4 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.uint16]
 Events = NDArray[np.void]
-"""Structured, of `ssac.events.EVENT_DTYPE`."""
+"""Structured array of `ssac.events.EVENT_DTYPE`."""

@@ -16,15 +16,15 @@ from ssac.errors import SsacError
 DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each lens model may have."""
 
-# Deviations where a calibration says nothing of them: a share of focal lengths, and of centres.
+# Standard deviations of a good calibration: focal lengths (as a share of them), principal point.
 GOOD_FOCAL, GOOD_CENTRE_PX = 0.001, 0.3
 LEAST_FOCAL_SIDES, MOST_FOCAL_SIDES = 0.1, 100.0
 """Bounds of a focal length, in sides of the image: beyond, it is not in pixels of this image."""
 
-MAX_PIXELS = 200_000_000  # of a camera: as many as tables of all pixels leave memory for
-MAX_READOUT_S = 0.2  # of a rolling shutter: the slowest sensors of still cameras
-READOUT_STD_S = 0.015  # from 0, of a readout of which nothing is known: phones have 10 to 30 ms
-MAX_ROUND_TRIP_PX = 1e-6  # from an undistorted point that is accepted, distorted again
+MAX_PIXELS = 200_000_000  # of a sensor: tables with an entry for each pixel still fit into memory
+MAX_READOUT_S = 0.2  # longest readout of a rolling shutter: slow sensors of still cameras
+READOUT_STD_S = 0.015  # prior deviation of an unknown readout from 0: phones have 10 to 30 ms
+MAX_ROUND_TRIP_PX = 1e-6  # of a point that is undistorted, and distorted again
 
 
 @dataclass(frozen=True)
@@ -37,20 +37,20 @@ class Camera:
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
     distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
     intrinsics_std_px: tuple[float, ...] = None  # type: ignore[assignment]
-    """Deviations of fu, fv, pu, pv [px], 0: exact; left out, those of a good calibration."""
-    readout_s: float | None = None  # rolling shutter: first row to last [s]; None: not known, as 0
-    readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
-    centre_was_exchanged: bool = False  # the rig says (pv, pu): see `with_usual_centres`
+    """Standard deviations of fu, fv, pu, pv [px]; 0: exact. Left out: of a good calibration."""
+    readout_s: float | None = None  # rolling shutter, first row to last [s]; None: unknown, so 0
+    readout_std_s: float = 0.0  # prior standard deviation of readout_s [s]; 0: it is not estimated
+    centre_was_exchanged: bool = False  # the rig states (pv, pu): see `with_usual_centres`
 
     def __post_init__(self) -> None:
-        K = _floats(self.K)  # of nonsense NaN: `check_camera` says what is wrong
+        K = _floats(self.K)  # NaN if it is no array of numbers: `check_camera` reports it
         object.__setattr__(self, "K", K)
         if self.intrinsics_std_px is None:
             object.__setattr__(self, "intrinsics_std_px", self._good_std_px)
 
     @property
     def states_intrinsics(self) -> bool:
-        """Whether it says how well its intrinsics are known; else as of a good calibration."""
+        """Whether the intrinsics' deviations are stated, and not those of a good calibration."""
         return tuple(self.intrinsics_std_px) != self._good_std_px
 
     @property
@@ -66,11 +66,11 @@ class Rig:
     cam1: Camera  # its frame and its clock are those of the rig
     cam2: Camera  # the other
     T_2_1: Array | None = None  # (4, 4), x2 = T_2_1 x1, [m]
-    in_metres: bool = True  # no: in distances of the cameras of a network, whose scale is not known
+    in_metres: bool = True  # False: in distances between a network's cameras, of unknown scale
 
     @property
     def unposed(self) -> "Rig":
-        """The same cameras, as a method sees them that is not given their pose."""
+        """The same cameras without the pose, for a method that is not given it."""
         return Rig(self.cam1, self.cam2)
 
 
@@ -81,13 +81,13 @@ class Cameras:
     cameras: tuple[Camera, ...]  # in the order of their recordings
     steps: tuple[Array | None, ...] = ()  # (4, 4) each, x_next = T x, [m]
     name: str = "the rig"  # for messages: a file's path
-    in_metres: bool = True  # as of `Rig`
+    in_metres: bool = True  # as in `Rig`
 
     def __len__(self) -> int:
         return len(self.cameras)
 
     def pair(self, i: int, j: int) -> Rig:
-        """Give two of them, from 0 on and i before j, as cameras 1 and 2 of a rig."""
+        """Return cameras i and j, counted from 0 and i before j, as cameras 1 and 2 of a rig."""
         T = np.eye(4)
         for step in self.steps[i:j] or (None,):
             if step is None:
@@ -99,7 +99,7 @@ class Cameras:
 def with_deviations(
     camera: Camera, focal: float | None = GOOD_FOCAL, centre_px: float | None = GOOD_CENTRE_PX
 ) -> Camera:
-    """Give a camera with other deviations: a share of focal lengths, pixels; None: as it states."""
+    """Set deviations of focal lengths (as a share) and principal point; None: keep the camera's."""
     said = tuple(camera.intrinsics_std_px)
     fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
     focals = said[:2] if focal is None else (focal * fu_px, focal * fv_px)
@@ -108,7 +108,7 @@ def with_deviations(
 
 
 def to_be_read_out(camera: Camera) -> Camera:
-    """Give a camera of tracks with what is known of its readout, where nothing states it."""
+    """Give a track's camera the prior of an unknown readout, unless a readout is stated."""
     return replace(camera, readout_std_s=READOUT_STD_S) if camera.readout_s is None else camera
 
 
@@ -197,13 +197,13 @@ def check_cameras(rig: Cameras) -> None:
 
 
 def with_usual_centres(rig: Cameras) -> Cameras:
-    """Give a rig with principal points put right that seem exchanged, if nothing else is stated."""
+    """Swap principal points that seem to be (pv, pu), unless a camera states its deviations."""
     cameras = []
     for camera in rig.cameras:
         given_px = camera.K[:2, 2]
         middle_px = 0.5 * np.array([camera.width - 1, camera.height - 1])
         off_px, exchanged_px = np.linalg.norm([given_px, given_px[::-1]] - middle_px, axis=1)
-        # Far is a tenth of the width, beyond what lenses are off; near is half of that or less.
+        # No lens is off by a tenth of the width. Exchanged, the point must be within half as far.
         is_exchanged = off_px > 0.1 * camera.width and exchanged_px < 0.5 * off_px
         if is_exchanged and not camera.states_intrinsics:
             K = camera.K.copy()
@@ -221,7 +221,7 @@ def check_transform(T: Array, name: str) -> None:
             " one matrix, or leave it out where the pose is not known"
         )
     R = T[:3, :3]
-    error, most = np.abs(R.T @ R - np.eye(3)).max(), 1e-3  # as few digits leave
+    error, most = np.abs(R.T @ R - np.eye(3)).max(), 1e-3  # rounding to few digits leaves as much
     if error > most or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
         raise SsacError(
             f"{name}: expected a rotation, got {R.tolist()} (R'R differs from I by {error:.2g}): "
@@ -230,7 +230,7 @@ def check_transform(T: Array, name: str) -> None:
 
 
 def _floats(values: object) -> Array:
-    """Give an array of numbers, of the same shape; a NaN for what holds none."""
+    """Convert values to an array of floats; a single NaN where they are no numbers."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

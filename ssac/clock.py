@@ -18,39 +18,39 @@ PPM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """What camera 2's clock shows; the default shows the same as camera 1's."""
+    """Camera 2's clock as a function of camera 1's; by default they show the same."""
 
-    t_d_s: float = 0.0  # what it shows more at t_ref, but for what it strays there
-    skew_ppm: float = 0.0  # by which it runs fast
+    t_d_s: float = 0.0  # offset at t_ref, before any stray
+    skew_ppm: float = 0.0  # rate of camera 2's clock over camera 1's, less 1
     t_ref_s: float = 0.0  # camera 1's clock
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) ascending, camera 1's clock
-    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) what it shows more there
+    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) added to the affine clock
 
     @property
     def is_delay(self) -> bool:
-        """Whether it differs from camera 1's by nothing but an offset."""
+        """Whether the clocks differ by nothing but an offset."""
         return not self.skew_ppm and not len(self.knots_s)
 
     def added_s(self, times_s: Array) -> Array:
-        """Give what it shows more (...,) [s], the offset apart; strays stay beyond the knots."""
+        """Return the difference (...,) [s] beside t_d; strays are constant beyond the knots."""
         added_s = PPM * self.skew_ppm * (times_s - self.t_ref_s)
         if len(self.knots_s):
             added_s = added_s + np.interp(times_s, self.knots_s, self.strays_s)
         return np.asarray(added_s)
 
     def cam2_from_cam1(self, times_s: Array | float) -> Array:
-        """Give what camera 2's clock shows (...,) [s] at times of camera 1's."""
+        """Return what camera 2's clock shows (...,) [s] at times of camera 1's."""
         times_s = np.asarray(times_s, np.float64)
         shown_s = times_s + self.t_d_s
         return np.asarray(shown_s if self.is_delay else shown_s + self.added_s(times_s))
 
     def cam1_from_cam2(self, times_s: Array | float) -> Array:
-        """Give what camera 1's clock shows (...,) [s] at times of camera 2's."""
+        """Return what camera 1's clock shows (...,) [s] at times of camera 2's."""
         delayed_s = np.asarray(times_s, np.float64) - self.t_d_s
         if self.is_delay:
             return np.asarray(delayed_s)
         rate = 1.0 + PPM * self.skew_ppm
-        # Linear from knot to knot as its inverse is: what is to be taken away, as of camera 2.
+        # The inverse is linear between knots too: strays are interpolated at times of camera 2.
         knots_s, strays_s = self.knots_s, self.strays_s
         if not len(knots_s):
             return np.asarray(self.t_ref_s + (delayed_s - self.t_ref_s) / rate)
@@ -59,7 +59,7 @@ class Clock:
         return np.asarray(self.t_ref_s + (delayed_s - strayed_s - self.t_ref_s) / rate)
 
     def inverse(self) -> "Clock":
-        """Give camera 1's clock as camera 2 sees it, with t_ref on camera 2's."""
+        """Return camera 1's clock as a function of camera 2's, with t_ref on camera 2's."""
         rate = 1.0 + PPM * self.skew_ppm
         return Clock(
             -self.t_d_s,

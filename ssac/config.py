@@ -1,4 +1,4 @@
-"""The parameters of all methods, and whether they make sense."""
+"""The parameters of all methods, and the checks of their values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -9,11 +9,11 @@ from ssac.errors import SsacError
 from ssac.rules import LineRules, NoiseRules, PointRules, Rules, check_rules, is_number
 
 N_MIN = 200
-"""Events that a window holds at least, the paper's N_min."""
+"""Least number of events in a window, the paper's N_min."""
 
 MIN_SWINGS = 3.5
-"""Least times to and fro that a path must go to tell F's 7 parameters and t_d from chance: see
-`ssac.search.two_views.TwoViews.swings`."""
+"""How many times, at least, a path must go to and fro to tell F's 7 parameters and t_d from chance:
+see `ssac.search.two_views.TwoViews.swings`."""
 
 _COUNTS = {
     **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
@@ -27,13 +27,13 @@ Interval = tuple[float, float]
 """A lower and an upper bound."""
 
 INTERVAL_S: Interval = (-1.0, 1.0)
-"""Offsets searched where nothing says which, the paper's [t_b, t_e]."""
+"""Offsets searched by default, the paper's [t_b, t_e]."""
 
 EVENT_SKEW_PRIOR_PPM = 50.0
 """Prior deviation of the skew between event cameras' clocks."""
 
 SKEW_PRIOR_PPM = 1000.0
-"""The same where a camera gave a track: phones and camcorders."""
+"""The same where a camera gave a track, as phones and camcorders do."""
 
 MAX_SKEW_PPM = 100_000.0
 """Largest prior deviation of a skew."""
@@ -51,7 +51,7 @@ class Cleaning:
 
 @dataclass(frozen=True)
 class Windows:
-    """Of which events a position is made."""
+    """How the object's positions are made from events or points."""
 
     half_window_s: float
     n_min: int | None
@@ -64,35 +64,35 @@ class Windows:
 class Config:
     """Parameters of all methods; the defaults are those of the paper and its published sample.
 
-    What is None or "auto" is settled by what the cameras gave: see `resolved`.
+    `resolved` replaces None and "auto" by values that suit what the cameras gave.
     """
 
     interval_s: Interval | None = None  # offsets searched; None: INTERVAL_S, or all where needed
     n_samples: int = 400  # sample times per candidate offset, the paper's N
     half_window_s: float = 0.020  # of events on each side of a sample time
     n_min: int | None = None  # events that a window holds at least; None: N_MIN, fewer if thin
-    n_neighbours: int | None = None  # of an event that is kept; None: by noise and density
+    n_neighbours: int | None = None  # that a kept event needs; None: by noise and density
     border_px: int = 5  # width of the border in the margin rule
-    max_border_fraction: float = 0.05  # of a window's events may lie on the border
+    max_border_fraction: float = 0.05  # largest share of a window's events on the border
     exhaustive: bool = False  # try an offset every 1 ms as the paper does, not coarse to fine
     robust: str = "lmeds"  # estimator of F: "lmeds" as in the paper, or "magsac"
     trials: int = 2000  # of LMedS at each candidate
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
-    min_swings: float = MIN_SWINGS  # of the object, where the pose is unknown
-    max_valley_s: float = 0.3  # longest of the cost curve whose middle is taken for an offset
+    min_swings: float = MIN_SWINGS  # least number, of the object, where the pose is unknown
+    max_valley_s: float = 0.3  # longest one of the cost curve whose middle is taken for an offset
     denoise: bool = True  # first remove hot pixels and isolated events
     skew_prior_ppm: float | None = None  # prior deviation of the clocks' skew; 0: they run alike
-    search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
+    search_skews: bool = True  # where they matter; False: a search of all offsets found the rate
     clock: str = "auto"  # or "affine"; or "pieces": its skew changes slowly
     roughness_ppm: float = 200.0  # prior deviation of that change from one piece to the next
     search: str = "auto"  # or "interval"; or "all" offsets that leave enough common time
-    rates: Interval | None = None  # of camera 2's clock, where a frame rate is unknown
-    choose_object: bool = True  # one that all saw, of several; never where rates are tried
-    rules: Rules = field(default_factory=Rules)  # by which each stage decides: see `ssac.rules`
+    rates: Interval | None = None  # of camera 2's clock to search, where a frame rate is unknown
+    choose_object: bool = True  # of several, the one that all saw; never where rates are searched
+    rules: Rules = field(default_factory=Rules)  # numbers by which stages decide: see `ssac.rules`
 
     def __post_init__(self) -> None:
-        for name in ("interval_s", "rates"):  # of a file they come as lists
+        for name in ("interval_s", "rates"):  # a file gives them as lists
             if isinstance(getattr(self, name), list):
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
@@ -108,23 +108,23 @@ class Config:
 
     @property
     def cleaning(self) -> Cleaning:
-        """What the noise filter takes of it."""
+        """The part of the config that the noise filter uses."""
         return Cleaning(self.denoise, self.n_neighbours, self.rules.noise, self.rules.line)
 
     @property
     def windows(self) -> Windows:
-        """What the object's motion takes of it."""
+        """The part of the config that the object's motion uses."""
         rules = self.border_px, self.max_border_fraction, self.rules.points
         return Windows(self.half_window_s, self.n_min, *rules)
 
     @property
     def searching(self) -> "Config":
-        """The same with the clocks as they are by default, which no search looks at."""
+        """The same config with default clocks, which no search depends on."""
         of_clocks = "skew_prior_ppm", "search_skews", "clock", "roughness_ppm"
         return replace(self, **{name: getattr(Config, name) for name in of_clocks})
 
     def resolved(self, has_track: bool) -> "Config":
-        """Settle what is open by the kind of cameras: clocks of tracks run at other rates."""
+        """Settle what is open by the kind of cameras: the clocks of tracks run at other rates."""
         prior_ppm = SKEW_PRIOR_PPM if has_track else EVENT_SKEW_PRIOR_PPM
         return replace(
             self,
@@ -136,12 +136,12 @@ class Config:
 
 
 def checked(config: Config | None) -> Config:
-    """Return the config, or the default, with nothing left open; SsacError where it is no good."""
+    """Return the config, or the default, with nothing left open; SsacError if a value is bad."""
     return validated(config).resolved(has_track=False)
 
 
 def validated(config: Config | None) -> Config:
-    """Return the config as it is, or the default for None; SsacError when a value is no good."""
+    """Return the config unchanged, or the default for None; SsacError if a value is bad."""
     config = Config() if config is None else config
     if not isinstance(config, Config):
         raise SsacError(f"config: expected a ssac.Config, got {type(config).__name__} {config!r}")

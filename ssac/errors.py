@@ -1,4 +1,4 @@
-"""The roots of the errors that `ssac` raises on purpose."""
+"""The base classes of the errors that `ssac` raises on purpose."""
 
 
 class SsacError(ValueError):

@@ -1,4 +1,4 @@
-"""What every method gives: an offset, a pose, and how far they are to be relied upon."""
+"""The result of every method: an offset, a pose, and how far each is to be relied upon."""
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -10,9 +10,9 @@ from ssac.clock import Clock
 
 
 class Status(str, Enum):
-    """How far an estimate is to be relied upon, a word (`Status.OK == "ok"`) with its `meaning`.
+    """How far an estimate is to be relied upon: a word (`Status.OK == "ok"`) with its `meaning`.
 
-    They stand in the order in which the stages come to them: of several the first is given.
+    The order is that of the stages that refuse: of several refusals, the first is reported.
     """
 
     meaning: str  # for users
@@ -91,7 +91,7 @@ class Status(str, Enum):
     )
 
     def __new__(cls, word: str, meaning: str, remedy: str) -> "Status":
-        """Make a member that is its word."""
+        """Make a member that equals its word."""
         member = str.__new__(cls, word)
         member._value_ = word
         member.meaning, member.remedy = meaning, remedy
@@ -107,7 +107,7 @@ class Status(str, Enum):
 
 
 POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
-"""Statuses of estimates whose offset holds all the same."""
+"""Statuses of estimates whose offset holds, but whose pose is not known."""
 
 SETTLED_BY: dict[str, tuple[Status, ...]] = {
     stage: tuple(Status[word.upper()] for word in words.split())
@@ -132,22 +132,22 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "rig": "search_bound no_convergence no_match poor_fit degenerate_pose ambiguous_pose",
     }.items()
 }
-"""Which refusals a later stage may overrule: a refinement those of the one before, a fast clock, or
-one of pieces, those of an ordinary one, and what `ssac.pipeline.retries` tries the usual ones."""
+"""Refusals that each later stage may overrule: a refinement its start's, a fast clock or one of
+pieces those of an ordinary clock, and a retry of `ssac.pipeline.retries` those of the default."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a stage gives no estimate, or not all of it."""
+    """Why a stage gives no estimate, or only a part of one."""
 
     status: Status
     reason: str
-    t_d_s: float = np.nan  # the best of several offsets
-    alternatives_s: tuple[float, ...] = ()  # and the others
+    t_d_s: float = np.nan  # the best of several offsets in question
+    alternatives_s: tuple[float, ...] = ()  # the others [s]
 
 
 def first(*refusals: Refusal | None) -> Refusal | None:
-    """Give the refusal whose status comes first in `Status`."""
+    """Return the refusal whose status comes first in `Status`; None if there is none."""
     there = [refusal for refusal in refusals if refusal is not None]
     return min(there, key=lambda refusal: list(Status).index(refusal.status), default=None)
 
@@ -157,13 +157,13 @@ class ClockJump:
     """Where camera 2's clock jumps, and the offsets on both sides."""
 
     at_s: float  # camera 1's clock
-    size_s: float  # what camera 2's clock shows more from then on
+    size_s: float  # how much more camera 2's clock shows from then on
     size_std_s: float  # standard deviation of size_s
     before_s: float  # t_d until then
     after_s: float  # t_d from then on
 
     def delayed(self, t_d_s: float) -> "ClockJump":
-        """As if camera 2's clock had shown `t_d_s` [s] more."""
+        """Return the jump as if camera 2's clock had shown `t_d_s` [s] more."""
         return replace(self, before_s=self.before_s + t_d_s, after_s=self.after_s + t_d_s)
 
 
@@ -183,41 +183,41 @@ class Estimate:
     R: Array | None = None  # (3, 3) x2 = R x1 + t
     t: Array | None = None  # (3,) length 1
     F: Array | None = None  # (3, 3) p2' F p1 = 0 for undistorted pixels, norm 1
-    covariance: Array | None = None  # (6, 6) of t_d [s] and a small change of the pose [rad]
+    covariance: Array | None = None  # (6, 6) of t_d [s], R's three angles and t's two [rad]
     alternatives_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) other offsets t_d
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
-    t_ref_s: float = np.nan  # camera 1's clock; NaN where both clocks are taken to run alike
+    t_ref_s: float = np.nan  # of the skew, camera 1's clock; NaN: both clocks are taken as alike
     skew_ppm: float = np.nan  # by which camera 2's clock runs fast
     skew_std_ppm: float = np.nan  # standard deviation of the skew
     clock_covariance: Array | None = None  # (2, 2) of t_d [s] and the skew [s/s]
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) as of `ssac.clock.Clock`
-    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
-    strays_std_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) with t_d's and skew's
+    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) as of `ssac.clock.Clock`
+    strays_std_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) of the whole clock
     readouts_s: Array = field(default_factory=_unknown)  # (2,) of rolling shutters; NaN: not known
-    readouts_std_s: Array = field(default_factory=_unknown)  # (2,) 0 where the rig says it
+    readouts_std_s: Array = field(default_factory=_unknown)  # (2,) 0 where the rig states it
     jump: ClockJump | None = None  # with status "clock_jump"
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
     per_focal_deg: Array = field(default_factory=_unknown)
-    """Angles (2,) by which R and t turn for focal lengths of both cameras that are twice as long,
-    to first order: what is wrong with both alike is hardly seen."""
+    """Angles (2,) by which R and t turn per relative lengthening of both cameras' focal lengths, to
+    first order: the residuals hardly show an error that both share."""
     Ks: tuple[Array, Array] | None = None  # (3, 3) each: intrinsics that were fitted with the rest
-    against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
-    against_skew: float = 0.0  # and against what is known of the skew beforehand
-    misfit: str = ""  # which these are, where that is much, as a sentence
+    against: float = 0.0  # from the rig's intrinsics to the best-fitting ones, in deviations
+    against_skew: float = 0.0  # the same of the skew, from its prior
+    misfit: str = ""  # which intrinsics would fit better, if the evidence is strong, as a sentence
     without_body: str = ""  # why tangents are not joined with a rigid body, as a part of a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
-    start: "Estimate | None" = field(default=None, repr=False, compare=False)  # refined from it
+    start: "Estimate | None" = field(default=None, repr=False, compare=False)  # the one refined
 
     def __post_init__(self) -> None:
-        if self.status in _MEMBERS:  # a plain word is one of ours: as its member
+        if self.status in _MEMBERS:  # a word that is a status becomes the member
             object.__setattr__(self, "status", _MEMBERS[self.status])
 
     @property
     def has_offset(self) -> bool:
-        """Whether `t_d_s` is to be relied upon: it may be though the pose is not."""
+        """Whether `t_d_s` is to be relied upon, even if the pose is not."""
         holds = isinstance(self.status, Status) and self.status.has_offset
         return holds and bool(np.isfinite(self.t_d_s))
 
@@ -240,7 +240,7 @@ class Estimate:
 
     @property
     def r_std_deg(self) -> float:
-        """Deviation [deg] of R: root of the summed variances of its three angles; NaN of none."""
+        """Deviation [deg] of R: root of its three angles' summed variances; NaN if unknown."""
         return self._angle_std_deg(slice(1, 4))
 
     @property
@@ -249,7 +249,7 @@ class Estimate:
         return self._angle_std_deg(slice(4, 6))
 
     def delayed(self, t_d_s: float) -> "Estimate":
-        """As if camera 2's clock had shown `t_d_s` [s] more; its reason is left as it is."""
+        """Return it as if camera 2's clock had shown `t_d_s` [s] more; the reason is unchanged."""
         return replace(
             self,
             t_d_s=self.t_d_s + t_d_s,

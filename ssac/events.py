@@ -16,8 +16,8 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
 US_PER_S = 1_000_000
-WRAP_S = 2**24 * 1e-6  # after which a counter of 24 bits that counts microseconds begins anew
-QUANTA_S = (0.010, 0.001)  # to which recorders are known to round times
+WRAP_S = 2**24 * 1e-6  # after which a 24-bit counter of microseconds wraps around
+QUANTA_S = (0.010, 0.001)  # steps to which some recorders round times
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def events_from_arrays(
     """Build the event array from whole times [us], pixel columns, rows and polarities (N,).
 
     The polarity of a darker event may be 0 or -1. SsacError, led by `name`, if the lengths differ
-    or a value does not fit its field; `check_events` looks at the rest.
+    or a value does not fit its field; `check_events` checks the rest.
     """
     columns = {field: np.asarray(one) for field, one in zip("txyp", (t, x, y, p), strict=True)}
     check_lengths({field: column.shape for field, column in columns.items()}, name)
@@ -46,7 +46,7 @@ def events_from_arrays(
 
 
 def events_of_array(array: NDArray[Any], name: str = "events") -> Events:
-    """Give a structured array, with fields t [us], x, y, p in any order and width, as events."""
+    """Convert a structured array, with fields t [us], x, y, p of any order and width, to events."""
     if array.dtype == EVENT_DTYPE:
         return array
     missing = [field for field in EVENT_DTYPE.names or () if field not in (array.dtype.names or ())]
@@ -89,7 +89,7 @@ def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
 
 
 def check_event_array(events: Any, name: str) -> None:
-    """Raise SsacError, starting with `name`, unless these are events at all."""
+    """Raise SsacError, starting with `name`, unless this is a 1-D array of EVENT_DTYPE."""
     is_array = isinstance(events, np.ndarray)
     if not is_array or events.ndim != 1 or events.dtype != EVENT_DTYPE:
         what = f"{events.ndim}-D {events.dtype}" if is_array else type(events).__name__
@@ -127,7 +127,7 @@ def check_events(events: Events, width: int | None, height: int | None, name: st
 def _look_through(
     t: IntArray, x: Pixels, y: Pixels, p: NDArray[np.uint8]
 ) -> tuple[int, int, int, int]:
-    """Index of the first event before the one ahead of it, or n; the largest x, y and p."""
+    """Return the index of the first event earlier than the one before it, or n; largest x, y, p."""
     largest_x, largest_y, largest_p = x[0], y[0], p[0]
     first = len(t)
     for i in range(len(t)):
@@ -139,29 +139,29 @@ def _look_through(
 
 
 def copied(events: Events) -> Events:
-    """Copy events (n,) whole, four times as fast as NumPy does, which copies field by field."""
+    """Copy events (n,) as whole records: four times as fast as NumPy, which copies fields."""
     whole = np.dtype((np.void, events.dtype.itemsize))
     return events.view(whole).copy().view(events.dtype)
 
 
 @numba.njit(cache=True)
 def first_from(times_us: IntArray, bounds_us: NDArray[Any]) -> Indices:
-    """Index (m,) of the first of n times at or after each bound [us], without copies."""
+    """Index (m,) of the first time (n,) [us] at or after each bound (m,), without copies."""
     return np.searchsorted(times_us, bounds_us)
 
 
 def no_gaps() -> IntArray:
-    """Give the gaps (0, 2) [us] of a recording of which nothing was taken out."""
+    """Return the gaps (0, 2) [us] of a recording from which nothing was removed."""
     return np.empty((0, 2), np.int64)
 
 
 def wrapped(earlier_s: float, later_s: float) -> bool:
-    """Whether a clock that goes back from one time to the other is a counter of 24 bits."""
+    """Whether a clock goes back between two times as a 24-bit counter that wraps around does."""
     return 0.5 * WRAP_S < earlier_s - later_s <= WRAP_S
 
 
 def wrap_message(place: str) -> str:
-    """Say what to do with a counter that begins anew."""
+    """Say what to do about a counter that wraps around."""
     return (
         f"the clock begins anew at {place}, as a counter of 24 bits does every {WRAP_S:.3f} s: add "
         f"{2**24} us to all times from there on, and so at each further one; do not sort"
@@ -170,13 +170,13 @@ def wrap_message(place: str) -> str:
 
 def is_whole(values: Array) -> bool:
     """Whether all values (n,) are whole numbers, but for rounding."""
-    rounding = 1e-6 * np.maximum(np.abs(values), 1.0)  # as a file's last digit may bring it
+    rounding = 1e-6 * np.maximum(np.abs(values), 1.0)  # as the last digit of a file may cause
     return bool(np.all(np.abs(values - np.rint(values)) < rounding))
 
 
 def time_quantum_s(times_s: Array) -> float:
-    """Step [s] of QUANTA_S to which times (n,) were rounded; 0 where they are finer."""
-    enough = 20  # times that tell a grid from chance
+    """Step [s] of QUANTA_S to which times (n,) were rounded; 0 if they are finer."""
+    enough = 20  # times: as many lie on a grid by more than chance
     if len(times_s) < enough or not is_whole(times_s[:enough] / QUANTA_S[-1]):
         return 0.0
     quantum_s = next((step_s for step_s in QUANTA_S if is_whole(times_s / step_s)), 0.0)

@@ -1,4 +1,4 @@
-"""The point track: where one object was seen, point by point, by a camera of any kind."""
+"""The point track: image positions of one object over time, from a camera of any kind."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ssac.events import is_whole, wrap_message, wrapped
 
 @dataclass(frozen=True)
 class PointTrack:
-    """Positions of one object in one camera's image, in its own clock."""
+    """Positions of one object in one camera's image, at times of the camera's own clock."""
 
     times_s: Array  # (n,) [s], ascending
     points_px: Array  # (n, 2) in the distorted image
@@ -49,7 +49,7 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: rows must be in time order, but point {k} is at {times_s[k]:g} s, after one "
             f"at {times_s[k - 1]:g} s: sort the rows, one object and one point a time"
         )
-    longest_s = 100.0  # no track of an object has its points so far apart
+    longest_s = 100.0  # between points: longer than in any track of an object
     if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > longest_s:
         raise SsacError(
             f"{name}: the times are whole numbers up to {times_s[-1]:.0f}, as of microseconds or "

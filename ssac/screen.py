@@ -1,29 +1,29 @@
-"""Lines that fit a screen."""
+"""Text in lines that fit the width of a terminal."""
 
 import os
 import textwrap
 from typing import TextIO
 
 COLUMNS = 100
-"""The most that a line has, unless it has a longer word, such as a path."""
+"""Largest length of a line, unless one word, such as a path, is longer."""
 
 
 def columns(stream: TextIO | None, otherwise: int = COLUMNS) -> int:
-    """Give the columns of the terminal that is written to, `COLUMNS` at most; or, of none, others.
+    """Return the width of the terminal behind a stream, 40 to `COLUMNS`; `otherwise` without one.
 
-    One that does not say its width has `COLUMNS`, and rows of a name and a value need 40.
+    A terminal of unstated width counts as `COLUMNS` wide; rows of a name and a value need 40.
     """
     try:
         width = os.get_terminal_size(stream.fileno()).columns  # type: ignore[union-attr]
-    except (AttributeError, OSError, ValueError):  # closed, a file or a pipe, a notebook's
+    except (AttributeError, OSError, ValueError):  # a closed stream, a file, a pipe or a notebook
         return otherwise
     return min(COLUMNS, max(40, width or COLUMNS))
 
 
 def folded(text: str, width: int, indent: int = 0) -> list[str]:
-    """Break a text into lines of so many columns, between words; at least one line.
+    """Break a text between words into lines of at most `width` columns; at least one line.
 
-    All but the first begin with an indent, which is within the width.
+    All lines but the first begin with the indent, which counts in the width.
     """
     return textwrap.wrap(
         text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False

@@ -1,4 +1,4 @@
-"""The command line, and the commands that need recordings alone, no simulator.
+"""The command line, and the table of commands that need recordings but no simulator.
 
 A command is imported when it is called: `ssac --help` and shell completion import none of them.
 """
@@ -21,7 +21,7 @@ from ssac.cli.exits import BAD_INPUT, PIPE_CLOSED, fail
 DISTRIBUTION = "ssac-suite"
 
 Sections = Mapping[str, Sequence[tuple[str, str]]]
-"""Lists of names with a line on each, by their headings."""
+"""Lists of names, each with a line of text, by their headings."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Entry:
     function: str
 
 
-USE = "Use"  # of recordings of one's own; other commands reproduce results
+USE = "Use"  # heading of commands for one's own recordings; other commands reproduce results
 
 COMMANDS = tuple(
     Entry(name, USE, summary, f"ssac.cli.{module}", f"{name}_command")
@@ -72,8 +72,8 @@ def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
 
 def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
     """Run a command line; return its exit code, wrong usage being one line on stderr."""
-    # Imports are spared BLAS's threads, on which sums depend, and looks for garbage: they make
-    # 230,000 objects, those of figures 350,000, at which to look took 0.13 s.
+    # BLAS starts no threads at its import, as sums depend on their number. Imports make 230,000
+    # objects, those of figures 350,000: looking through them for garbage takes 0.13 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(400_000)
     try:
@@ -84,7 +84,7 @@ def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
         path = context.command_path if context is not None else " ".join([program, *command])
         return fail(f"{error.format_message().rstrip('.')}; see {path} --help", BAD_INPUT)
     except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):  # which Typer ends with 1
+        if isinstance(end.__context__, BrokenPipeError):  # Typer's own exit code is 1
             return PIPE_CLOSED
         raise
 
@@ -102,7 +102,7 @@ class _LazyGroup(TyperGroup):
         return list(self.entries)
 
     def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
-        """Import a command."""
+        """Import a command by its name; if there is none, fail with the names that are close."""
         entry = self.entries.get(cmd_name)
         if entry is not None:
             module = import_module(entry.module)
@@ -140,7 +140,7 @@ class _LazyGroup(TyperGroup):
 
 
 class _ListingCommand(TyperCommand):
-    """A command whose arguments are shown as they are written, and with lists below its help."""
+    """A command whose help shows arguments as they are typed, and ends with lists."""
 
     sections: Callable[[], Sections] = dict
 
@@ -161,7 +161,7 @@ class _ListingCommand(TyperCommand):
         _write({heading: some for heading, some in rows.items() if some}, formatter)
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Add the lists."""
+        """Write the lists that end the help."""
         _write(self.sections(), formatter)
 
 

@@ -1,7 +1,7 @@
-"""Exit codes: what went wrong in a command is one line on stderr, never a traceback.
+"""Exit codes, and errors of commands as one line on stderr, never a traceback.
 
-A terminal shows it folded. Imports the standard library alone, so that it can stand guard over the
-imports of everything else.
+On a terminal the line is folded. All that is imported here needs the standard library alone, so
+that `guarded` also covers the imports of everything else.
 """
 
 import os
@@ -56,13 +56,13 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
 
 
 def fail(message: str, code: int) -> int:
-    """Say in one line on stderr what went wrong; give the code back."""
+    """Print an error as one line on stderr; return the code."""
     _say("error", message)
     return code
 
 
 def _say(kind: str, message: object) -> None:
-    """Say something in one line on stderr, which is folded where that is a terminal."""
+    """Print a message as one line on stderr, folded if stderr is a terminal."""
     line = f"{kind}: {' '.join(str(message).split())}"
     width = columns(sys.stderr, sys.maxsize)
     print("\n".join(folded(line, width, len(kind) + 2)), file=sys.stderr)
@@ -78,10 +78,10 @@ def warnings_as_lines() -> Iterator[None]:
 
 @contextmanager
 def _signals_as_exceptions() -> Iterator[None]:
-    """Leave the block as an exception does on Ctrl-C and SIGTERM, where nobody has other wishes."""
+    """Raise an exception in the block on Ctrl-C and SIGTERM, unless these have other handlers."""
 
     def interrupt(*_: object) -> None:
-        # Again and again, as imports swallow some; in 3 s temporary files can be removed.
+        # Every 3 s again, as imports swallow some; in between, temporary files can be removed.
         signal.setitimer(signal.ITIMER_REAL, 3.0)
         raise KeyboardInterrupt
 
@@ -106,7 +106,7 @@ def _signals_as_exceptions() -> Iterator[None]:
 
 
 def _bug_line(error: Exception) -> str:
-    """Write the traceback to a file of its own, and name both: to whom it is to be reported."""
+    """Write the traceback to a new file; return a line with the error and the file's path."""
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     lines = [
         f"command: {shlex.join(sys.argv)}\n",
@@ -120,6 +120,6 @@ def _bug_line(error: Exception) -> str:
         where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
     else:
         where = f"please report it with the traceback in {path}"
-    if isinstance(error, PluginError):  # which names the package
+    if isinstance(error, PluginError):  # its message names the package
         return f"{error}; {where}"
     return f"a bug in this program, {what}; {where}"

@@ -1,4 +1,4 @@
-"""Options of the command line that several commands have, and ranges of numbers."""
+"""Options that several commands share, and functions that make options and arguments."""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
@@ -63,10 +63,10 @@ class Option:
     """One option of a command: what Typer shows and checks of it, and what it sets."""
 
     info: Any
-    field: str = ""  # of Config, whose type and default it has; empty: of none
-    type: Any = bool  # of one that sets no field
-    default: Any = None  # the same
-    value: Any = None  # of the field where a flag is given, which sets nothing else
+    field: str = ""  # of Config, which it sets and whose type and default it has; empty: none
+    type: Any = bool  # of a flag, or of an option that sets no field
+    default: Any = None  # of such an option; a flag's None is False
+    value: Any = None  # of the field where a flag is given; without the flag it keeps its default
 
     @property
     def parameter(self) -> tuple[Any, Any]:
@@ -80,7 +80,7 @@ class Option:
 def with_options(
     options: Mapping[str, Option],
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the parameters of a table in place of its last, which takes any."""
+    """Give a command the parameters of a table in place of its last one, `**options`."""
 
     def given(command: Callable[..., None]) -> Callable[..., None]:
         *own, _ = inspect.signature(command).parameters.values()

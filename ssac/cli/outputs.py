@@ -1,4 +1,4 @@
-"""The files that `ssac sync` writes, and those on scale and frame that it reads."""
+"""The files that `ssac sync` writes, and the options that set the scale and the frame."""
 
 import shlex
 import sys
@@ -36,14 +36,14 @@ class Outputs:
 
     json_file: Path | None
     plot: Path | None  # a folder, or one file for all figures
-    write_synced: Path | None  # camera 2's events on camera 1's clock
+    write_synced: Path | None  # camera 2's events or track on camera 1's clock
     trajectory: Path | None  # the object's path
-    write_rig: Path | None  # with the pose found
+    write_rig: Path | None  # the rig with the pose found
     report: Path | None  # an HTML page
 
 
 def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
-    """Raise SsacError for outputs that cannot be written; of the inputs, camera 2 is the second."""
+    """Raise SsacError for outputs that cannot be written; `inputs[1]` is camera 2's recording."""
     synced, plot, rig = outputs.write_synced, outputs.plot, outputs.write_rig
     if synced is not None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
@@ -72,7 +72,7 @@ def write_outputs(
     known: Known,
     log: Log,
 ) -> None:
-    """Write what was asked for and say so, figures and page last."""
+    """Write the outputs asked for, figures and page last, and log each of them."""
     clock = Stopwatch(log)
 
     def tell(line: str) -> None:
@@ -82,7 +82,7 @@ def write_outputs(
         save_json(outputs.json_file, result.to_dict())
         tell(f"wrote {outputs.json_file}")
     synced, trajectory, rig = outputs.write_synced, outputs.trajectory, outputs.write_rig
-    if synced is not None and isinstance(result, Result):  # of more cameras it is refused
+    if synced is not None and isinstance(result, Result):  # refused for more cameras
         if result.estimate.has_offset:
             with clock.part("write") as say:
                 say(_write_synced(synced, result.estimate, cam2, reading))
@@ -105,7 +105,7 @@ def write_outputs(
 
 
 def _write_synced(file: Path, estimate: Estimate, cam2: Path, reading: Reading) -> str:
-    """Write camera 2's recording on camera 1's clock; read again, as that in memory is denoised."""
+    """Write camera 2's file, read again as events in memory are denoised, on camera 1's clock."""
     if is_track_file(cam2):
         track = load_track(cam2)
         times_s = estimate.clock.cam1_from_cam2(track.times_s)
@@ -122,7 +122,7 @@ def known_of(
     rtk: Path | None,
     lever_arm_m: tuple[float, float, float] | None,
 ) -> Known:
-    """Sum up options on the scale and the frame, and check their files before hours of work."""
+    """Collect the options that set scale and frame; check their files before hours of work."""
     given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
     names = [name for name, value in given.items() if value is not None]
     if len(names) > 1:
@@ -132,7 +132,7 @@ def known_of(
     if lever_arm_m is not None and rtk is None:
         raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
     if positions is not None:
-        from ssac.network.ground import load_positions  # and with it all that compares paths
+        from ssac.network.ground import load_positions  # which imports all that compares paths
 
         load_positions(positions)
     if rtk is not None:

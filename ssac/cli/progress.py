@@ -1,4 +1,4 @@
-"""How much of some work is done: a bar on stderr, or lines where that is no terminal."""
+"""The progress of long work: a bar on stderr, or lines where stderr is no terminal."""
 
 import sys
 import time
@@ -8,20 +8,20 @@ from contextlib import contextmanager
 from tqdm import tqdm
 
 EVERY_S = 30.0
-"""Time after which a line is due, at the next thing that is done."""
+"""Time after a line from which the next is due; it is printed when an item of work is done."""
 
 Advance = Callable[[int], object]
-"""Takes how many are done by now."""
+"""A function that takes the number of items done so far."""
 
 
 @contextmanager
 def progress(
     total: int, label: str, is_brief: bool = False, is_shown: bool = True
 ) -> Iterator[Advance]:
-    """Show how much of some work is done while the block runs, which calls what it is given.
+    """Show the progress of some work; the block calls the function given as items are done.
 
-    Nothing is shown where `total` is 0. Of brief work, which mostly takes seconds, the bar appears
-    after half a second, and no line before `EVERY_S`.
+    Nothing is shown if `total` is 0 or `is_shown` is False. The bar of brief work, which mostly
+    takes seconds, appears after half a second, and its first line after `EVERY_S`.
     """
     if not (total and is_shown):
         yield lambda n_done: None
@@ -34,7 +34,7 @@ def progress(
 
 
 def _lines(total: int, label: str, is_brief: bool) -> Advance:
-    """Say it in a line at each tenth that is done, and `EVERY_S` after the last line."""
+    """Print a line at each tenth of the work, and where the last line is `EVERY_S` old."""
     says_tenths, n_tenths = not is_brief, 0
     begun_s = said_s = time.monotonic()
 
@@ -55,7 +55,7 @@ def _lines(total: int, label: str, is_brief: bool) -> Advance:
 
 @contextmanager
 def compilation_told() -> Iterator[None]:
-    """Say so, once, where the block compiles kernels: an installation's first run takes longer."""
+    """Say once if the block compiles kernels, as an installation's first run does: it is slower."""
     from numba.core.event import Event, Listener, install_listener
 
     class Teller(Listener):
@@ -74,5 +74,5 @@ def compilation_told() -> Iterator[None]:
 
 
 def say(line: str) -> None:
-    """Say something else on stderr, above the bar where there is one."""
+    """Print a line on stderr, above the bar if there is one."""
     tqdm.write(line, file=sys.stderr)

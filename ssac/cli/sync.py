@@ -1,4 +1,4 @@
-"""The command `ssac sync`; what takes long to import is imported when it runs, not for its help."""
+"""The command `ssac sync`; slow imports wait until it runs, so that its help does not."""
 
 import webbrowser
 from importlib import import_module
@@ -32,7 +32,7 @@ from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 
 
 def complete_method(incomplete: str) -> list[tuple[str, str]]:
-    """List the methods for a shell that completes a name."""
+    """List the methods whose names begin with what a shell is to complete."""
     return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
 
 
@@ -169,7 +169,7 @@ OPTIONS = {
         "n_neighbours",
     ),
 }
-"""By the name of the parameter, in the order of the help."""
+"""The options of `ssac sync` by the names of their parameters, in the order of the help."""
 
 
 @with_options(OPTIONS)
@@ -240,7 +240,7 @@ def sync_command(
 
 
 def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
-    """Give each camera's file: a simulated folder stands for all of its, a bag for two topics."""
+    """Return each camera's file: a simulated folder holds one for each camera, a bag two topics."""
     from ssac.files.readable import check_is_file
     from ssac.files.ros_bags import SeveralTopicsError, bag_of, topic_of
 
@@ -287,7 +287,7 @@ def _check_search(given: SimpleNamespace) -> None:
     search = given.search
     if search is not None and (given.search_all or given.rate_range is not None):
         raise SsacError("--search: not with --search-all or --rate-range, which try every offset")
-    most_s = 3600.0  # of a search that still ends: its time grows with the interval
+    most_s = 3600.0  # longest interval: the time that a search takes grows with it
     if search is not None and not 0.0 < search[1] - search[0] <= most_s:
         raise SsacError(
             "--search: expected a smaller and a larger offset, at most "
@@ -298,7 +298,7 @@ def _check_search(given: SimpleNamespace) -> None:
 
 
 def help_sections() -> Sections:
-    """List the methods, and what an estimate's status may be, below the help."""
+    """Return the lists below the help: methods, and statuses of an estimate with their meanings."""
     estimate = import_module("ssac.estimate")
     statuses = [(str(status), status.meaning) for status in estimate.Status]
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}

@@ -1,8 +1,8 @@
-"""What becomes of event files that are damaged, out of order, or perhaps in another unit.
+"""Event files that are damaged, out of order, or perhaps in another unit of time.
 
 A file with signs of damage is refused, or read as far as it goes, with a warning, where that is
-asked for. Events that are out of order by microseconds, as some cameras' drivers write them, are
-another matter: they are sorted where that is asked for.
+asked for. Events that are out of order by less than 1 ms, as some cameras' drivers write them, are
+no damage: they are sorted where that is asked for.
 """
 
 import warnings
@@ -17,21 +17,21 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events
 
 REPEATED = 32
-"""So many equal words, or events, in a row are none of a sensor: a block was overwritten."""
+"""Least number of equal words or events in a row that are no sensor's: a block was overwritten."""
 
-_LONGEST_GAP_US = 3600 * US_PER_S  # without an event in one file: no recording pauses for longer
+_LONGEST_GAP_US = 3600 * US_PER_S  # longest pause between two events of a recording
 
-# Of what moves before it a camera gives thousands of events a second, and for minutes: times of
-# fewer, or of longer, are in another unit.
+# A camera gives thousands of events a second of a moving object, for minutes. Fewer in a longer
+# recording, or as many in a shorter one, suggest that times are in another unit.
 _LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What may be made of an event file that is not as it should be."""
+    """How an event file that is damaged or out of order may be read."""
 
     allow_damaged: bool = False  # read what is left, and warn
-    sort: bool = False  # put events in order that are out of it by less than 1 ms
+    sort: bool = False  # sort events that are out of order by less than 1 ms
 
 
 STRICT = Reading()
@@ -51,7 +51,7 @@ def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
 
 
 def count_repeated(is_same: Mask) -> int:
-    """Count, of n things, those of runs of `REPEATED` or more; (n - 1,): as the one before it."""
+    """Count the items in runs of at least `REPEATED`; is_same (n - 1,): equal to the one before."""
     runs = np.diff(np.flatnonzero(~is_same), prepend=-1, append=len(is_same))
     return int(runs[runs >= REPEATED].sum())
 
@@ -63,10 +63,10 @@ def checked_file(
     reading: Reading,
     is_text: bool = False,
 ) -> EventFile:
-    """Give the events of a file as they are if it is whole, else what `reading` makes of them.
+    """Check the events of a file, sort them or leave damage out as `reading` allows, return them.
 
     SsacError for signs of damage that are not allowed, and for no events. In text, whose times may
-    be rounded, one event may stand often.
+    be rounded, the same event may be repeated often.
     """
     t = np.ascontiguousarray(events["t"])
     is_odd = np.any(t[1:] < t[:-1]) or np.any(t[REPEATED - 1 :] == t[: 1 - REPEATED])
@@ -89,11 +89,11 @@ def checked_file(
 
 
 def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Events:
-    """Look closely at events whose times may be wrong, or of which some may stand there often."""
+    """Examine events whose times run back or leap, or that are repeated; sort or cut them."""
     t, x, y = (events[field] for field in "txy")
     steps_us, is_back = np.diff(t), t[1:] < t[:-1]
     n_back = np.count_nonzero(is_back)
-    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # which no longer fits 64 bits
+    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # or beyond 64 bits
     n_leaps = np.count_nonzero(~is_back & is_leap)
     most_back_us = int(np.max(np.maximum.accumulate(t) - t, initial=0))
     if n_back and not n_leaps and most_back_us < 1000:  # as a driver mixes events up
@@ -106,7 +106,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         warnings.warn(f"{path}: {late[0]} events came {late[1]} and were sorted", stacklevel=3)
         events, n_back = events[np.argsort(t, kind="stable")], 0
     elif n_back and not reading.allow_damaged:
-        return events  # which are refused for it
+        return events  # `check_events` refuses them
     signs: list[str] = []
     if n_leaps:
         signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
@@ -115,7 +115,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:
         kept = events
-        if reading.allow_damaged:  # the largest of the parts between which it does
+        if reading.allow_damaged:  # the part with the most events, between such places
             kept = max(np.split(events, np.flatnonzero(is_back | is_leap) + 1), key=len)
         lost = len(events) - len(kept)
         if lost:
@@ -129,7 +129,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
 
 
 def noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
-    """Give a file back, and warn where its times look as if they were in another unit."""
+    """Return the file, and warn if its times seem to be in another unit."""
     n, span_s = len(file.events), float(np.ptp(file.events["t"])) / US_PER_S
     said = ""
     if span_s > LONGEST_S and n < _LEAST_HZ * span_s:

@@ -1,4 +1,4 @@
-"""Public drone-tracking data sets, as tracks and a rig in our form.
+"""Conversion of public drone-tracking data sets to our track files and rig file.
 
 The data sets (github.com/CenekAlbl/drone-tracking-datasets, Li et al., IROS 2020) are not ours to
 ship: their licence is CC BY-NC-SA. A folder has `cameras.txt`, `detections/camK.txt` with a line
@@ -29,8 +29,8 @@ KEYFRAMES = {4: 4}
 would make deviations too small."""
 
 FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
-"""How well phones and camcorders keep a calibration, with focus and stabilisation: between a good
-and a careless one. What a good one allows for, cameras 0 and 1 of data set 1 contradict."""
+"""Deviations of phones' and camcorders' intrinsics, which focus and stabilisation change: between
+those of a good calibration, which cameras 0 and 1 of data set 1 contradict, and a careless one."""
 
 _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 

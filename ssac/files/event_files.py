@@ -1,10 +1,10 @@
 """Event files of all formats, by their extensions.
 
-An offset is the difference of clocks, so a file is only of use when absolute times survive reading:
-the table in docs/sync.md says of which formats they do.
+An offset is a difference of clocks, so a file is of use only if its format keeps absolute times:
+the table in docs/sync.md says which formats do.
 
-To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS and
-in that table.
+To add a format, add a module that reads it, and perhaps writes it, and a line in FORMATS and in
+that table.
 """
 
 from importlib import import_module
@@ -31,8 +31,8 @@ FORMATS = {
     )
     for suffix in suffixes.split()
 }
-"""By extension a module, which is imported when it is needed, its function (path, reading) that
-reads an EventFile, and perhaps one (path, events, width, height) that writes it."""
+"""For each extension a module, imported when it is needed; its function (path, reading) that reads
+an EventFile; and perhaps a function (path, events, width, height) that writes one."""
 
 WRITTEN = tuple(suffix for suffix, (_, *functions) in FORMATS.items() if len(functions) == 2)
 """Extensions of the formats that can be written."""
@@ -41,11 +41,11 @@ _VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any of these formats, by its extension; or BAG/TOPIC of a bag.
+    """Read an event file in the format of its extension, or a topic of a ROS bag as BAG/TOPIC.
 
-    Events are sorted, on the clock of the camera that recorded them; the sensor's size is there
-    where the file gives it. SsacError, which names the file, if it cannot be read, is damaged or
-    unsorted.
+    Events are sorted, on the clock of the camera that recorded them; the sensor's size is None
+    where the file does not state it. SsacError, which names the file, if it cannot be read, is
+    damaged or unsorted.
     """
     path = Path(path)
     if bag_of(path) is not None:
@@ -68,7 +68,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
 
 
 def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
-    """Write camera 2's events on camera 1's clock, in whole microseconds, as the extension says."""
+    """Write camera 2's events on camera 1's clock [whole us], in the format of the extension."""
     path = Path(path)
     check_written(path)
     events = cam2.events.copy()
@@ -81,7 +81,7 @@ def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
 
 
 def check_written(path: Path, suffixes: tuple[str, ...] = WRITTEN) -> None:
-    """Raise SsacError unless a file's extension is one of those that can be written."""
+    """Raise SsacError unless a file's extension is one of `suffixes`, which can be written."""
     if path.suffix.lower() not in suffixes:
         raise SsacError(
             f"{path}: cannot write the extension {path.suffix!r}: use one of "

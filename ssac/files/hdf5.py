@@ -4,8 +4,8 @@ Three layouts are read: ours (`events/t`, `x`, `y`, `p`; the sensor's width and 
 of the file or of `events`), DSEC's (the same datasets, times relative to the dataset `t_offset`)
 and Prophesee's (`CD/events`, size in the attribute `geometry`).
 
-Before memory is taken, the sizes that a file says are held against what it really stores. Links
-out of it are refused.
+Before memory is allocated, the sizes that a file states are checked against what it really stores.
+Links, and data in other files, are refused.
 """
 
 import math
@@ -28,7 +28,7 @@ from ssac.files.whole_file import check_writable, whole_file
 HDF5_SUFFIXES = (".h5", ".hdf5")
 
 EVENTS_PER_BLOCK = 1 << 18  # read at once: they stay in the processor's cache until in place
-BYTES_PER_BLOCK = 1 << 24  # of frames read at once when each of them is summed up
+BYTES_PER_BLOCK = 1 << 24  # of frames read at once, where only summaries are kept
 _KIND = "a readable HDF5 file"
 
 
@@ -68,8 +68,8 @@ def load_frames(
 ) -> tuple[IntArray, NDArray[Any]] | None:
     """Read a recording's times of mid-exposure (n,) [us] and frames (n, height, width) uint8.
 
-    None where there are none. A summary of frames, (k, height, width) in, (k, ...) out, is called
-    with some at a time, and what it gives is kept in their place.
+    None if there are no frames. `summary` is called with some frames (k, height, width) at a time,
+    and the array (k, ...) that it returns is kept in their place.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
@@ -120,7 +120,7 @@ def _read_blocks(
 def _summarised(
     images: h5py.Dataset, summary: Callable[[NDArray[np.uint8]], NDArray[Any]]
 ) -> NDArray[Any]:
-    """Summaries of all frames; whole chunks are read at a time, as each is decoded as a whole."""
+    """Summarise all frames, reading whole chunks, as each chunk is decoded as a whole."""
     n, height, width = images.shape
     per_chunk = images.chunks[0] if images.chunks else 1
     step = per_chunk * max(1, BYTES_PER_BLOCK // max(1, per_chunk * height * width))
@@ -144,7 +144,7 @@ def _offset_us(file: h5py.File, path: Path) -> int:
 
 
 def _dataset(file: h5py.File, name: str, path: Path) -> Any:
-    """Give a dataset such as "events/t" that can be trusted; None where the file has none."""
+    """Return a dataset such as "events/t"; None if there is none, SsacError if it is unsafe."""
     parts = name.split("/")
     for k in range(1, len(parts) + 1):
         link = file.get("/".join(parts[:k]), getlink=True)
@@ -170,7 +170,7 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
             )
     largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
     stored = found.id.get_storage_size()
-    # A megabyte is no matter, and no codec makes more than 1000 bytes of one.
+    # A megabyte does no harm, and no codec unpacks one byte to more than 1000.
     if largest > max(1 << 20, 1000 * stored):
         raise SsacError(
             f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
@@ -180,7 +180,7 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
 
 
 def _signs_of_loss(found: Any) -> list[str]:
-    """Say what of a dataset is not stored: it would be read as zeros."""
+    """List the parts of a dataset that are not stored, and would be read as zeros."""
     if found.size == 0:
         return []
     if found.chunks:

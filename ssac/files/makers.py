@@ -4,9 +4,9 @@ An Event Stream file has no place for its absolute start: faery and others subtr
 timestamp on writing, so a file that starts at time 0 gives a warning. RAW, DAT and ES files have no
 end mark: a truncated one is a shorter recording.
 
-What is damaged in the middle faery passes over, or is taken down by it: of an AEDAT 4 file it takes
-as much memory as a size that is nonsense says, and ends the process when there is none. So signs of
-damage that no sensor writes, which docs/security.md lists, are looked for before.
+Damage in the middle of a file is passed over by faery, or crashes it: of an AEDAT 4 file it takes
+as much memory as a corrupt size states, and ends the process if there is not enough. So files are
+first searched for signs of damage that no sensor writes; docs/security.md lists them.
 """
 
 import re
@@ -38,7 +38,7 @@ _STREAM = re.compile(rb'<node name="(\d+)"')
 
 
 def load_makers_file(path: Path, reading: Reading, named: Path | None = None) -> EventFile:
-    """Read a camera maker's file; messages call it as it is named."""
+    """Read a camera maker's file; messages call it `named`, or by its path if that is None."""
     name = named or path
     refuse_damaged(name, _signs(path), reading)
     file = checked_file(*_decoded(path, reading, name), name, reading)
@@ -54,7 +54,7 @@ def load_makers_file(path: Path, reading: Reading, named: Path | None = None) ->
 def _decoded(
     path: Path, reading: Reading, name: Path
 ) -> tuple[Events, tuple[int | None, int | None]]:
-    """Events, and the sensor's size; fewer of them where that is allowed."""
+    """Decode all events, or those before the damage if that is allowed, and the sensor's size."""
     import faery  # here, as it takes long: other formats do without it
 
     blocks: list[NDArray[Any]] = [np.empty(0, faery.EVENTS_DTYPE)]
@@ -81,7 +81,7 @@ def _decoded(
 
 
 def _signs(path: Path) -> list[str]:
-    """Look for damage that faery passes over, or that would take it down."""
+    """List signs of damage that faery passes over, or that would crash it."""
     suffix = path.suffix.lower()
     if suffix == ".aedat4":
         return _signs_of_packets(path)
@@ -105,7 +105,7 @@ def _signs(path: Path) -> list[str]:
 
 
 def _evt_version(path: Path) -> str:
-    """Version in a RAW file's header; SsacError without one that faery can decode."""
+    """Read a RAW file's encoding from its header; SsacError unless it is "evt2" or "evt3"."""
     import faery
 
     kind = "a complete .raw file"
@@ -117,7 +117,7 @@ def _evt_version(path: Path) -> str:
 
 
 def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
-    """Words behind the header and `n_about` bytes, and how many bytes are left over."""
+    """Read all words behind the header and `n_about` bytes; also count the bytes left over."""
     with readable(path, "a readable file"), path.open("rb") as file:
         start = 0
         while (line := file.readline()).startswith(b"%"):
@@ -158,13 +158,13 @@ def _signs_of_dat(words: Words) -> tuple[int, ...]:
     """Count as `_signs_of_evt2`."""
     steps_us = np.diff((words & np.uint64(0xFFFFFFFF)).astype(np.int64))
     n_invalid = np.count_nonzero(words >> np.uint64(60) > 1)
-    # By more the counter began anew.
+    # After a larger fall the counter began anew.
     n_back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
     return n_invalid, n_back, 0, _repeated(words, np.ones(len(words), np.bool_))
 
 
 def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]) -> int:
-    """Count words that are of no kind, or that continue nothing."""
+    """Count words of unknown kinds, and continuing words without one that they may continue."""
     goes_on = np.isin(kinds, going_on)
     goes_on[:1] = False
     goes_on[1:] &= np.isin(kinds[:-1], (0xE, *going_on))
@@ -172,12 +172,12 @@ def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]
 
 
 def _repeated(words: Words, is_event: Mask) -> int:
-    """Count the words of events that stand there again and again."""
+    """Count the words of events that are in long runs of equal words."""
     return count_repeated((words[1:] == words[:-1]) & is_event[1:])
 
 
 def _signs_of_packets(path: Path) -> list[str]:
-    """Say what is wrong with an AEDAT 4 file that has a header and still leaves packets to read."""
+    """List the damage to an AEDAT 4 file's packets; SsacError if its header is damaged."""
     kind = f"a complete {path.suffix} file"
     with readable(path, kind), path.open("rb") as file:
         size = path.stat().st_size
@@ -226,7 +226,7 @@ def _check_description(header: bytes) -> None:
 
 
 def _field_place(header: bytes, number: int) -> int:
-    """Find a field of the header, a flat buffer; 0 where it is left out."""
+    """Find the byte in the header, a FlatBuffer, at which a field begins; 0 if it is left out."""
     (root,) = struct.unpack_from("<I", header)
     fields = root - struct.unpack_from("<i", header, root)[0]
     (length,) = struct.unpack_from("<H", header, fields)

@@ -1,7 +1,7 @@
 """NumPy's own files of events: a structured array (.npy), or an archive with it (.npz).
 
-Fields are in any order, as the Metavision SDK has them. An archive has an array `events`, or one of
-each of t, x, y and p, and perhaps the sensor's `width` and `height`. Nothing is unpickled.
+Fields are in any order, such as the Metavision SDK's. An archive has an array `events`, or an array
+for each of t, x, y and p, and perhaps the sensor's `width` and `height`. Nothing is unpickled.
 """
 
 from pathlib import Path
@@ -38,7 +38,7 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
 def save_events_numpy(
     path: Path | str, events: Events, width: int | None, height: int | None
 ) -> None:
-    """Write events, into an archive with the sensor's size [px] beside them where it is known."""
+    """Write events; an archive (.npz) also holds the sensor's size [px] where it is known."""
     path = Path(path)
     check_writable(path, EVENT_DTYPE.itemsize * len(events))
     with whole_file(path) as temporary, temporary.open("wb") as file:

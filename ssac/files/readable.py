@@ -1,4 +1,4 @@
-"""Whatever a library raises about a file becomes one error of ours, which names the file."""
+"""Unreadable files: whatever a library raises about a file becomes an SsacError that names it."""
 
 import os
 from collections.abc import Iterator
@@ -19,9 +19,9 @@ def check_is_file(path: Path) -> None:
 
 @contextmanager
 def readable(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises in the block into one SsacError: panics are no Exception.
+    """Turn whatever a library raises in the block, even a panic, into one SsacError.
 
-    `kind` is what the file is to be: "a readable HDF5 file".
+    `kind` says what the file should be, as in "a readable HDF5 file".
     """
     try:
         yield
@@ -39,7 +39,7 @@ def brief(error: BaseException, longest: int = 200) -> str:
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Keep what compiled code writes to stderr from it: a panic prints lines of its own."""
+    """Discard what compiled code writes to stderr in the block, as a panic prints its own lines."""
     try:
         kept = os.dup(2)
     except OSError:  # there is no stderr
@@ -55,7 +55,7 @@ def silenced() -> Iterator[None]:
 
 
 def check_text(path: Path) -> None:
-    """Raise SsacError when a file has zero bytes, which a reader of text takes for its end."""
+    """Raise SsacError if a file has a byte of value 0, which a reader of text takes for its end."""
     with readable(path, "a readable file"), path.open("rb") as file:
         while block := file.read(1 << 22):
             at = block.find(b"\0")
@@ -76,8 +76,8 @@ def is_number(word: str) -> bool:
 
 
 def side_px(value: Any, said: str, path: Path) -> int:
-    """Give the width or height of a sensor that a file states; SsacError, with `said`, if none."""
-    most = (1 << 16) - 1  # of what an event's field holds
+    """Return a sensor's width or height [px] that a file states; SsacError, with `said`, if bad."""
+    most = (1 << 16) - 1  # what an event's field x or y holds
     try:
         side = int(value)
     except (TypeError, ValueError, OverflowError):

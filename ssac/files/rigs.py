@@ -20,18 +20,18 @@ from ssac.files.whole_file import write_whole
 RIG_SUFFIXES = (".yaml", ".yml")
 
 LENGTH_UNITS = ("m", "first_baseline")
-"""Of a camera's key `length_unit`: metres, or distances of the first two cameras placed."""
+"""Values of a camera's key `length_unit`: metres, or distances of the first two cameras placed."""
 
 _CAMERA = re.compile(r"cam\d+")
 
 
 class Step(NamedTuple):
-    """Where a camera stands as one before it sees it, and what its clock shows more."""
+    """The pose and the time offset of a camera n relative to an earlier camera of the chain."""
 
-    back: int  # it is so many cameras before; Kalibr knows 1 alone
+    back: int  # the earlier camera is n - back; Kalibr itself knows only 1
     T: Array  # (4, 4) x_n = T x_(n - back)
-    shift_s: float  # t_n = t_(n - back) + it
-    in_metres: bool  # no: in distances of the first two cameras placed
+    shift_s: float  # t_n = t_(n - back) + shift_s
+    in_metres: bool  # False: T is in units of the distance of the first two cameras placed
 
 
 def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
@@ -40,9 +40,9 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     Parameters
     ----------
     path
-        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). In the first
-        a pose may be from a camera before the last, as `T_cn_cnm2`, where one in between has none;
-        in the second a lens is radtan unless the key `distortion_model` says `equidistant`.
+        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). A camchain's
+        pose may be relative to a camera further back, as `T_cn_cnm2`, where one in between has
+        none; OpenCV's lens is radtan unless the key `distortion_model` says `equidistant`.
     cameras
         Numbers of the two that are to be cameras 1 and 2, from 1 on; one may be named twice.
 
@@ -56,7 +56,7 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     if path.suffix.lower() not in RIG_SUFFIXES:
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
     check_is_file(path)
-    most_bytes = 1 << 20  # of a hundred cameras it has less
+    most_bytes = 1 << 20  # a rig of a hundred cameras has less
     if path.stat().st_size > most_bytes:
         raise SsacError(
             f"{path}: is no rig, which has less than {most_bytes} bytes: check the path"
@@ -71,9 +71,9 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
 def save_rig(
     path: Path, cameras: Sequence[Camera], steps: Sequence[Step | None], comment: str
 ) -> None:
-    """Write a Kalibr camchain that `load_rig` reads, with comments that publish each step in ROS.
+    """Write a Kalibr camchain that `load_rig` reads; comments give ROS commands for each pose.
 
-    `steps` lead to each camera, None where nothing is known, as of the first.
+    `steps` has one step to each camera, or None where it is not known, as for the first.
     """
     chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
     for k, (camera, step) in enumerate(zip(cameras, steps, strict=True)):
@@ -225,7 +225,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
 def _checked_camera(
     name: str, K: Array, size: Iterable[float], distortion_model: str, coeffs: Array, *more: Any
 ) -> Camera:
-    """Return the camera; the model "none" may come with zeros for coefficients."""
+    """Make and check a camera; the model "none" may come with coefficients that are all zero."""
     if distortion_model == "none" and not coeffs.any():
         coeffs = coeffs[:0]
     width, height = map(int, size)
@@ -248,14 +248,14 @@ def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Array:
 
 
 def _shown(value: Any) -> str:
-    """Show a few letters of what stood in a file."""
+    """Shorten a value from a file for a message."""
     short = reprlib.Repr()
     short.maxlevel = 2  # YAML's lists may be nested without end
     return value[:40] if isinstance(value, str) else short.repr(value)[:200]
 
 
 def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless."""
+    """Whether nested lists have a shape, tested before they are read: YAML's may be endless."""
     if isinstance(value, np.ndarray):
         return bool(value.shape == shape)
     if not shape:

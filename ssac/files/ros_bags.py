@@ -1,12 +1,12 @@
-"""ROS 1 and ROS 2 bags, which the library rosbags opens; messages are taken apart here.
+"""ROS 1 and ROS 2 bags, which the library rosbags opens; their messages are decoded here.
 
 A path may lead into a bag: BAG/TOPIC is one topic of it, where BAG is a file (.bag, .db3, .mcap) or
-the folder of a ROS 2 bag. Without a topic the only one with events is taken; without any, the only
-one with points, which is a track (x and y [px], at the header's time). Events have times of their
-own: those at which messages were sent or written do not count.
+the folder of a ROS 2 bag. Without a topic the only one with events is taken; if none has events,
+the only one with points, which is a track (x and y [px], at the header's time). Events have times
+of their own: the times at which messages were sent or written are ignored.
 
-The library's own decoding would make an object of each event, some 40 times as slow, and runs
-code that it makes from definitions in the bag.
+The library's own decoding makes an object of each event, which is some 40 times as slow, and runs
+code that it generates from definitions in the bag.
 """
 
 import re
@@ -38,13 +38,13 @@ _KINDS = (*_ARRAYS, _PACKETS, _POINTS)
 _METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
 _COMPRESSED = ".zstd"  # behind the suffix of a file of a ROS 2 bag
 _READABLE = "a readable ROS bag"
-_EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # a word, and its bits behind the four of its kind
+_EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # type of a word; bits below the 4 of its kind
 _TIME_HIGH = 0x8
 _EVENT_BYTES = 13  # of ROS 1; ROS 2 aligns numbers, so that events begin 16 apart
 
 
 class SeveralTopicsError(SsacError):
-    """Of a bag with several topics, none was named."""
+    """A bag has several topics that can be used, and none was named."""
 
     def __init__(self, bag: Path, names: list[str]) -> None:
         super().__init__(
@@ -61,7 +61,7 @@ class Topic:
     path: Path  # as it was given, for messages
     bag: Path
     name: str
-    kind: str  # of its messages
+    kind: str  # type of its messages
 
     @property
     def is_track(self) -> bool:
@@ -70,7 +70,7 @@ class Topic:
 
 
 def bag_of(path: Path) -> tuple[Path, str] | None:
-    """Split a path into a bag that exists and the topic in it, "" for none; None: of no bag."""
+    """Split a path into a bag that exists and a topic, "" if none is named; None without a bag."""
     for bag in (path,) if path.exists() else path.parents:
         is_named = bag.name.lower().removesuffix(_COMPRESSED).endswith(BAG_SUFFIXES)
         if (is_named and bag.is_file()) or (bag / _METADATA).is_file():
@@ -79,7 +79,7 @@ def bag_of(path: Path) -> tuple[Path, str] | None:
 
 
 def file_of(path: Path) -> Path:
-    """Give the bag that a path leads into, or the path itself where that is none."""
+    """Return the bag that a path leads into, or the path itself if there is none."""
     found = bag_of(path)
     return path if found is None else found[0]
 
@@ -116,7 +116,7 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
         raise SsacError(f"{path}: {topic.name} holds points, a track: expected a topic of events")
     forms: set[tuple[int, int, str]] = set()  # width, height and encoding
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
-    words: list[NDArray[Any]] = []  # of EVT, which its maker's decoder reads
+    words: list[NDArray[Any]] = []  # of evt2 or evt3, which are decoded together at the end
 
     def take(message: _Message) -> None:
         message.header_ns()
@@ -125,7 +125,7 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
             forms.add((width, height, "events"))
             blocks.append(message.events(str(path)))
             return
-        message.number("Q")  # of the packet
+        message.number("Q")  # the packet's number in the sequence
         base_ns = message.number("Q")
         encoding = message.text().rstrip(b"\0").decode("ascii", "replace")
         order = ">" if message.number("B") else "<"
@@ -154,7 +154,7 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
 
 
 def load_track_bag(path: Path) -> PointTrack:
-    """Read the points of a topic; `ssac.points.check_track` looks at them."""
+    """Read the points of a topic; `ssac.points.check_track` checks them."""
     rows: list[tuple[float, float, float]] = []
 
     def take(message: _Message) -> None:
@@ -167,7 +167,7 @@ def load_track_bag(path: Path) -> PointTrack:
 
 
 def _reader(bag: Path) -> Any:
-    """Open a bag by the library's reader of its kind."""
+    """Make the library's reader of a ROS 1 or ROS 2 bag."""
     try:
         from rosbags import rosbag1, rosbag2
     except ImportError as error:
@@ -183,7 +183,7 @@ def _reader(bag: Path) -> Any:
 
 
 def _has_compressed_messages(bag: Path) -> bool:
-    """Whether the folder of a ROS 2 bag's file says so: no reader sees it in the file alone."""
+    """Whether metadata beside a ROS 2 bag's file say so: no reader sees it in the file alone."""
     about = bag.with_name(_METADATA)
     text = about.read_text(encoding="utf-8", errors="replace") if about.is_file() else ""
     return re.search(r"compression_mode: *\W?message", text, re.IGNORECASE) is not None
@@ -198,12 +198,12 @@ class _Message:
 
     def __init__(self, raw: bytes, is_ros1: bool) -> None:
         self.raw, self.is_ros1 = raw, is_ros1
-        self.start = 0 if is_ros1 else 4  # behind what CDR says of itself
+        self.start = 0 if is_ros1 else 4  # behind CDR's own header
         self.order = "<" if is_ros1 or raw[1] & 1 else ">"
         self.at = self.start
 
     def number(self, code: str) -> Any:
-        """Read a number of one of struct's codes."""
+        """Read a number, whose type is given as a format character of `struct`."""
         n_bytes = struct.calcsize(f"={code}")
         if not self.is_ros1:
             self.at += (self.start - self.at) % n_bytes
@@ -221,7 +221,7 @@ class _Message:
         return found
 
     def header_ns(self) -> int:
-        """Read a std_msgs/Header: its time."""
+        """Read a std_msgs/Header; return its time [ns]."""
         if self.is_ros1:
             self.number("I")
         seconds, rest_ns = self.number("I" if self.is_ros1 else "i"), self.number("I")
@@ -229,10 +229,10 @@ class _Message:
         return int(seconds) * 10**9 + int(rest_ns)
 
     def events(self, name: str) -> Events:
-        """Read a list of x, y, time and polarity, which ends the message."""
+        """Read the list of events (x, y, time and polarity) that ends the message."""
         n, first = self.number("I"), self.at
         ends = first + (_EVENT_BYTES * n if self.is_ros1 else 16 * n - 3 * (n > 0))
-        # ROS 2 may fill up the last four bytes.
+        # ROS 2 may pad the end to a multiple of four bytes.
         if not 0 <= len(self.raw) - ends < (1 if self.is_ros1 else 4):
             raise ValueError(f"{n} events in a message of {len(self.raw)} bytes")
         gap = 0 if self.is_ros1 else 2
@@ -242,7 +242,7 @@ class _Message:
             "offsets": [0, 2, 4 + gap, 8 + gap, 12 + gap],
             "itemsize": _EVENT_BYTES if self.is_ros1 else 16,
         }
-        # All but the first begin two bytes before a multiple of four, and its own x and y do not.
+        # In ROS 2 an event begins two bytes before a multiple of four, but the first begins at one.
         events = np.frombuffer(self.raw + b"\0", np.dtype(about), n, first - gap)
         x, y = events["x"].copy(), events["y"].copy()
         if n:
@@ -254,7 +254,7 @@ class _Message:
 def _of_words(
     words: NDArray[Any], width: int, height: int, encoding: str, path: Path, reading: Reading
 ) -> EventFile:
-    """Read words by way of a file; those before the first that tells the time tell nothing."""
+    """Decode EVT words by way of a RAW file, without those before the first word of time."""
     from ssac.files.makers import load_makers_file
 
     version = encoding.removeprefix("evt")
@@ -269,7 +269,7 @@ def _of_words(
 
 
 def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> Events:
-    """Take apart words of p (1 bit), y (15), x (16) and the time since the base (32) [ns]."""
+    """Decode words of p (1 bit), y (15), x (16) and the time since the base (32) [ns]."""
     words = np.frombuffer(data, order + "u8").astype(np.int64)
     t_us = _us_from_ns(base_ns + (words & 0xFFFFFFFF))
     return events_from_arrays(t_us, words >> 32 & 0xFFFF, words >> 48 & 0x7FFF, words < 0, name)
@@ -280,7 +280,7 @@ def _us_from_ns(times_ns: NDArray[Any]) -> IntArray:
 
 
 def _for_each(topic: Topic, take: Callable[[_Message], None], reading: Reading) -> None:
-    """Hand on the messages of a topic; of a damaged bag those before the damage, if allowed."""
+    """Call `take` with each message of a topic; in a damaged bag up to the damage, if allowed."""
     n = n_said = 0
     try:
         with readable(topic.path, _READABLE), _reader(topic.bag) as reader:

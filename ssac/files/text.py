@@ -1,7 +1,7 @@
 """Text recordings: ESIM text, and comma-separated values (docs/sync.md).
 
-Names of a csv file's columns may carry the sensor's size as faery writes it (`x@346`), and `on`
-stands for `p`. Polarity of a darker event is 0 or -1.
+The names of a csv file's columns may carry the sensor's size as faery writes it (`x@346`), and `p`
+may be called `on`. The polarity of a darker event is 0 or -1.
 """
 
 import csv
@@ -88,8 +88,8 @@ def _read_table(
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
     try:
         with (
-            np.errstate(invalid="ignore"),
-            pd.read_csv(  # the error says it
+            np.errstate(invalid="ignore"),  # the error says the same
+            pd.read_csv(
                 path,
                 sep=separator,
                 names=columns,
@@ -119,7 +119,7 @@ def _read_table(
 
 
 def _microseconds_from_seconds(t_s: Array, path: Path) -> IntArray:
-    """Nearest whole microseconds; SsacError for nan and inf."""
+    """Round to whole microseconds; SsacError for nan, inf and times that are not in seconds."""
     most_s = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
     if not (np.abs(t_s) < most_s).all():  # NaN is not either
         raise SsacError(

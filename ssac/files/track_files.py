@@ -1,7 +1,7 @@
 """Track files: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
 
-Times are seconds on the camera's own clock, pixels those of the distorted image, one object, rows
-in time order; where it was not seen, rows are missing. Or a ROS bag's topic of points (`ros_bags`).
+Times [s] are of the camera's own clock, points [px] of the distorted image. Rows are of one object,
+in time order; none where it was not seen. A ROS bag's topic of points serves too (`ros_bags`).
 """
 
 import csv
@@ -21,7 +21,7 @@ _SIGMA = "sigma_px"
 
 
 def is_track_file(path: Path) -> bool:
-    """Whether a file is a track by its extension and its first line, or a bag's topic is one."""
+    """Whether a file's extension and first line are a track's, or a bag's topic holds points."""
     if bag_of(path) is not None:
         return topic_of(path).is_track
     if path.suffix.lower() != TRACK_SUFFIX or not path.is_file():
@@ -32,7 +32,7 @@ def is_track_file(path: Path) -> bool:
 
 
 def load_track(path: Path | str) -> PointTrack:
-    """Read a track file; `ssac.points.check_track` looks at what stands in it."""
+    """Read a track file; `ssac.points.check_track` checks its values."""
     import pandas as pd  # here, as it takes long: recordings of events do without it
 
     path = Path(path)
@@ -76,7 +76,7 @@ def save_track(path: Path | str, track: PointTrack) -> None:
 
 
 def _check_fields(path: Path, n_columns: int) -> None:
-    """Raise SsacError where a row has more fields than columns, of which pandas takes the first."""
+    """Raise SsacError if a row has more fields than there are columns: pandas drops the last."""
     with path.open(encoding="utf-8") as file:
         for k, line in enumerate(file):
             n_fields = line.rstrip(", \t\r\n").count(",") + 1

@@ -22,11 +22,11 @@ from ssac.errors import SsacError, WriteError
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 LEFT_OVER_S = 86_400.0
-"""After a day without a write, what a process of another host was writing is left over."""
+"""Time without a write after which a temporary file of another host counts as left over."""
 
 _MADE = re.compile(r"\..*\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]{32}\.[a-z]+", re.S)
 
-_NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
+_NAME_LENGTH = 32  # letters kept, of up to 4 bytes each: a file's name has 255 bytes at most
 
 
 def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> None:
@@ -82,7 +82,7 @@ def check_writable(path: Path, n_bytes: int = 0) -> None:
 
 
 def check_folder(folder: Path, n_bytes: int = 0) -> None:
-    """Raise WriteError when files could not be written into a folder, which may have to be made."""
+    """Raise WriteError if files could not be written into a folder, which need not exist yet."""
     there = folder.absolute()
     while not there.exists():
         there = there.parent
@@ -101,7 +101,7 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
 
 @cache
 def host() -> str:
-    """Name the place in which a process id has one meaning: a machine, or a container, now."""
+    """Name the scope in which a process id is unique: a machine since its boot, or a container."""
     node = platform.node()
     place = [node]
     with suppress(OSError):  # not Linux
@@ -113,15 +113,15 @@ def host() -> str:
 
 
 def temporary_path(path: Path) -> Path:
-    """Give a name beside a path that is given only once, by any process of any host."""
+    """Return a temporary path in the same folder, unique among all processes of all hosts."""
     name, maker = path.name[:_NAME_LENGTH], f"{host()}.{os.getpid()}"
     return path.with_name(f".{name}.{maker}.{os.urandom(16).hex()}.part")
 
 
 def is_left_over(path: Path) -> bool:
-    """Say whether a path is a temporary one of ours that nobody writes to any more.
+    """Whether a path is a temporary one of ours that no process writes to any more.
 
-    Of this host's processes that is one that has ended; of others, nothing is known but the time.
+    On this host the process that made it has ended; of other hosts only the last write is known.
     """
     made = _MADE.fullmatch(path.name)
     if made is None:
@@ -132,7 +132,7 @@ def is_left_over(path: Path) -> bool:
 
 
 def remove_left_over(folder: Path, name: str = "") -> None:
-    """Remove what nobody writes to any more in a folder, or only what would have become a name."""
+    """Remove left-over temporary files and folders from a folder, or only those made for a name."""
     prefix = f".{glob.escape(name[:_NAME_LENGTH])}." if name else "."
     for path in folder.glob(f"{prefix}*"):
         if not is_left_over(path):
@@ -153,14 +153,14 @@ def _idle_s(path: Path) -> float:
 
 
 def _runs(process: int) -> bool:
-    """Say whether there is a process of this host with a number that has not ended."""
+    """Whether the process of this host with this id has not ended."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
     except OSError:  # somebody else's
         return True
-    try:  # one that ended keeps its number until its parent asks how
+    try:  # a process that has ended keeps its id until its parent waits for it
         state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:  # another system, or it has ended just now
         return True
