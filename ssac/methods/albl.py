@@ -51,7 +51,7 @@ class _Linearised:
 
 @dataclass(frozen=True)
 class _Agreement:
-    """The solution of nine pairs with which most pairs agree."""
+    """RANSAC's solution: of all solutions from nine pairs, the one with most inliers."""
 
     pairs: _Linearised
     shift_s: float
@@ -62,7 +62,7 @@ class _Agreement:
         return float(np.mean(self.inliers))
 
     def polished(self, step_s: float) -> float:
-        """Shift [s] near the one found at which all its inliers agree best."""
+        """Shift [s], up to `step_s` from the one found, that fits all its inliers best."""
         A, B = (of_all[self.inliers] for of_all in self.pairs.constraints)
         moments = A.T @ A, A.T @ B + B.T @ A, B.T @ B
         polished = minimize_scalar(
@@ -78,13 +78,13 @@ class _Agreement:
 def albl_of_views(views: TwoViews) -> Estimate:
     """Time offset and relative pose by the iterated solver; it may stop at a local optimum.
 
-    Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
-    iteration starts where a first RANSAC finds most inliers, of offsets all over the search
-    interval that do not depend on where this lies. Their image tracks are sampled per frame, ours
+    Deviation from Albl et al.: they start from a rough offset, which is not given here. The
+    iteration starts at the offset where a first RANSAC finds most inliers, on a grid all over the
+    search interval that is fixed to the clocks. Their image tracks are sampled per frame, ours
     at any time, so the shift is not rounded to frames; RANSAC's solution is polished by a search in
-    b for the least singular value of the same equations over all its inliers; and two more rounds
-    of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
-    milliseconds off. They do not say when to distrust the result.
+    b for the least singular value of the same equations over all its inliers; and two more such
+    rounds follow at the end, whether they gain inliers or not, as all pairs may be inliers some
+    milliseconds off. Albl et al. do not say when to distrust the result.
     """
     rules, min_pairs = views.rules.albl, views.rules.search.min_pairs
     usable_s = candidate_offsets(views)
@@ -117,7 +117,7 @@ def albl_of_views(views: TwoViews) -> Estimate:
         reason = f"{len(p1)} valid pairs at t_d = {t_d_s:.3f} s, {min_pairs} are needed"
         return Estimate("albl", Status.TOO_FEW_SAMPLES, reason)
     F = reweighted_fundamental(p1, p2)
-    # Once more without the linearisation, which favours large shifts: a secant bends to many F.
+    # Inliers are counted again without the linearisation, whose long secants fit many F.
     is_near = np.abs(sampson_distance(F, p1, p2)) < rules.inlier_px
     share = min(best_share, float(np.mean(is_near)))
     if share < rules.min_inlier_share:
@@ -130,9 +130,9 @@ def albl_of_views(views: TwoViews) -> Estimate:
 
 
 def _start(views: TwoViews, low_s: float, high_s: float) -> float:
-    """Choose the start [s] from which one linearisation makes inliers of most pairs."""
-    # Odd multiples of half a step, fixed to the clocks, lest an interval that somebody put around
-    # the offset tell where it is.
+    """Choose the start [s]: the offset at which one linearised RANSAC finds most inliers."""
+    # Starts are odd multiples of half a step, fixed to the clocks: starts that depended on an
+    # interval put around the true offset would give this offset away.
     rules, step_s = views.rules.albl, views.rules.albl.start_step_s
     first, last = (round(bound_s / step_s) for bound_s in (low_s, high_s))
     grid_s = step_s * (np.arange(first - 1, last + 2) + 0.5)
@@ -154,14 +154,14 @@ def _start(views: TwoViews, low_s: float, high_s: float) -> float:
 def _best_shift(
     views: TwoViews, pairs: Pairs, step_s: float, rng: np.random.Generator, to_exceed: float = 0.0
 ) -> tuple[float, float]:
-    """Shift [s] of one offset with most inliers, by secants ahead or back, and their share."""
+    """Shift [s] with most inliers, by forward or backward secants, and their share; or 0, 0."""
     both = [_linearised(pairs, *secants, 0) for secants in _secants(views, pairs, step_s)]
     found = _most_agreed(both, views.rules, rng, to_exceed, views.rules.albl.trials)
     return (0.0, 0.0) if found is None else (found.polished(step_s), found.inlier_share)
 
 
 def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[tuple[Track, float]]:
-    """Look where p2 (M, N) is a step after its times, and a step before them."""
+    """Sample p2 (M, N) a step after its times and a step before, each with the signed step."""
     clock_s = views.on_clock_2(pairs.times_s, pairs.t_d_s[:, None])
     return [(views.motion2.at(clock_s + by_s), by_s) for by_s in (step_s, -step_s)]
 
@@ -169,7 +169,7 @@ def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[tuple[Track, 
 def _most_agreed(
     both: list[_Linearised], rules: Rules, rng: np.random.Generator, to_exceed: float, trials: int
 ) -> _Agreement | None:
-    """Find what more than a share of an offset's pairs agree with, by either of the secants."""
+    """Run RANSAC by either secant; None if no inlier share exceeds `to_exceed`."""
     best: _Agreement | None = None
     for linearised in both:
         n = len(linearised)
@@ -220,8 +220,8 @@ def _ransac(
 
 def _solutions(A: Array, B: Array, subsets: Indices, longest_s: float) -> tuple[Array, Array]:
     """All real solutions of (A + b B) f = 0 for subsets (T, 9): shifts b (S,) [s], F (S, 3, 3)."""
-    # B has no entries in f's last three columns: with X (9, 6) = A^-1 B of the first six,
-    # f = -b X f[:6], six rows of which are an eigenvalue problem; the others give the rest of f.
+    # B's last three columns are zero. With X (9, 6) = A^-1 B of the first six, f = -b X f[:6]: six
+    # of these rows are an eigenvalue problem for f[:6]; the other three give the rest of f.
     X = _quotients(A, B, subsets)
     X = X[np.isfinite(X).all(axis=(1, 2))]
     inverse_shifts, heads = np.linalg.eig(-X[:, :6])
@@ -238,8 +238,8 @@ def _solutions(A: Array, B: Array, subsets: Indices, longest_s: float) -> tuple[
 @numba.njit(cache=True)
 def _quotients(A: Array, B: Array, subsets: Indices) -> Array:
     """A^-1 B of the rows in each subset, (T, 9, 6), by Gaussian elimination with pivoting."""
-    # At the true offset A is singular but for noise. A pivot of zero is then taken as the least
-    # number that can be divided by, on coordinates of order 1: the shift b comes out as zero.
+    # At the true offset A is singular but for noise. A pivot near zero is replaced by a number
+    # that is tiny for coordinates of order 1, and the shift b comes out as about zero.
     least_pivot = 1e-12
     found, rows = np.empty((len(subsets), 9, 6)), np.empty((9, 15))
     for trial in range(len(subsets)):
@@ -273,7 +273,7 @@ def _quotients(A: Array, B: Array, subsets: Indices) -> Array:
 def _most_inliers(
     shifts_s: Array, F: Array, x1: Array, x2: Array, v2: Array, limit: float, most: int
 ) -> tuple[int, int]:
-    """Place of the first solution with most inliers, and their number; -1 if none exceeds it."""
+    """Index of the first solution with most inliers, and their number; -1 if none has > `most`."""
     best, n = -1, x1.shape[1]
     for s in range(len(shifts_s)):
         blocks = in_blocks(x1, x2 + shifts_s[s] * v2)

@@ -30,13 +30,13 @@ from ssac.search.view import View
 
 @dataclass(frozen=True)
 class _Along:
-    """Positions along the lines of both views, in one unit, at n instants."""
+    """Positions along the straight track of each view, in one unit, at n instants."""
 
     times_s: Array  # (n,)
     s1: Array  # (n,)
     s2: Array  # (n,)
     speeds2: Array  # (n,) of s2 [1/s]
-    scale_px: float  # of the unit
+    scale_px: float  # length of the unit
 
     def fitted(self) -> Array:
         """Fit (a, b, c) of the projectivity by reweighted least squares."""
@@ -50,7 +50,7 @@ class _Along:
         return fitted
 
     def residuals(self, fitted: Array) -> tuple[Array, Array]:
-        """Distances (n,) from a projectivity to first order, and the norms that they were over."""
+        """First-order distances (n,) from a projectivity, and the gradient norms in them."""
         (a, b, c), x, y = fitted, self.s1, self.s2
         norms = np.sqrt((c * x + 1.0) ** 2 + (c * y - a) ** 2) + 1e-12
         return (y * (c * x + 1.0) - a * x - b) / norms, norms
@@ -61,7 +61,7 @@ class _Along:
 
 
 def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
-    """Time offset of an object on a straight line in both views; "degenerate_pose" at best.
+    """Time offset of an object on a straight line in both views: "degenerate_pose" at best.
 
     A line in space leaves the epipolar constraint nothing to say: F = l2 a' + b l1' takes every
     point of the track's line l1 to the line l2, at any offset. But the two images of the line are
@@ -123,7 +123,7 @@ def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | 
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
-    """Refine t_d and the projectivity together; t_d, its deviation [s], infinite if open, and n."""
+    """Refine t_d and the projectivity; return t_d, its deviation [s], inf if open, and n."""
     std_s, n_pairs = np.inf, 0
     for _ in range(8):
         along = _along(lines, views, t_d_s)
@@ -139,7 +139,7 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
         inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] * jacobian))
         gradients = jacobian * (weights * residuals)[:, None]
         shift_s = -float((inverse @ np.sum(gradients, axis=0))[0])
-        # By the gradients' sums over stretches of 0.5 s, which are taken as independent.
+        # The gradients' sums over stretches of 0.5 s are taken as independent.
         stretches = np.unique(np.floor(along.times_s / 0.5), return_inverse=True)[1]
         sums = np.zeros((stretches.max() + 1, 4))
         np.add.at(sums, stretches, gradients)
@@ -246,7 +246,7 @@ def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Arr
 
 
 def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimate:
-    """Refuse an offset at which the views are so far from a match, or that others rival."""
+    """Refuse an offset at which the views do not match, or that other offsets rival."""
     rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     differ = no_match(distance_px, views.object_px, rules)
@@ -255,12 +255,12 @@ def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimat
 
 
 def _distance_px(estimate: Estimate) -> float:
-    # Of a path that leaves F open the final F may be a bad one, though others fit.
+    # Where the path leaves F open, the final F may be a bad one though another F fits.
     return min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
 
 
 def with_fit(estimate: Estimate, F: Array, p1_px: Array, p2_px: Array) -> Estimate:
-    """Add F, and how well it fits these pairs, to the estimate."""
+    """Add F, the number of these pairs and their mean epipolar distance to the estimate."""
     d_avg_px = float(np.mean(epipolar_distance(F, p1_px, p2_px)))
     return replace(estimate, F=F / np.linalg.norm(F), n_samples=len(p1_px), d_avg_px=d_avg_px)
 

@@ -1,12 +1,12 @@
-"""What is found of camera 2's clock beside its offset: a skew, strays between knots, a jump.
+"""Estimation of camera 2's clock beside its offset: a skew, strays between knots, a jump.
 
 The offset is the solver's own parameter. Beside it camera 2's clock may have a skew and, as pieces,
-strays that are linear between knots some 5 s apart. Their roughness is the change of the skew from
-piece to piece. Strays are written as a sum of modes, none of which has an offset or a skew of its
-own, and of which what is known beforehand is independent: so each is one column with a prior.
+strays: differences from the affine clock that are linear between knots some 5 s apart. Their
+roughness is the change of the skew from piece to piece. Strays are a sum of modes that have neither
+an offset nor a skew, and whose priors are independent: so each mode is one column with a prior.
 
-Readouts of rolling shutters, where they are to be estimated, are the last columns: they say when a
-camera saw what it saw, as clocks do.
+Readouts of rolling shutters, where they are to be estimated, are the next columns: like a clock,
+they determine when a camera saw an image point.
 """
 
 from dataclasses import dataclass, field, replace
@@ -38,19 +38,19 @@ from ssac.search.two_views import Shutters, TwoViews, shutters_of
 
 @dataclass(frozen=True, eq=False)
 class ClockModel:
-    """Parameters beside the offset: the skew [s/s], strays by mode [s], readouts [s]; or none."""
+    """Parameters beside the offset: skew [s/s], modes of strays [s], readouts [s]; or none."""
 
     t_ref_s: float  # camera 1's clock
-    half_s: float  # length of half the common time
-    deviations: Array  # (m,) of what is known of each beforehand
+    half_s: float  # half the length of the common time
+    deviations: Array  # (m,) of the priors of skew and modes; empty: no skew is estimated
     rules: ClockRules
     shutters: Shutters
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
-    modes: Array = field(default_factory=lambda: np.empty((0, 0)))  # (k, m - 1) strays by one
+    modes: Array = field(default_factory=lambda: np.empty((0, 0)))  # (k, m - 1) strays per unit
 
     @property
     def has_priors(self) -> bool:
-        """Whether anything but the offset is to be found."""
+        """Whether a skew, strays or readouts are to be estimated."""
         return len(self.deviations) > 0 or len(self.shutters.cameras) > 0
 
     @property
@@ -59,7 +59,7 @@ class ClockModel:
         return FIRST_COLUMN + len(self.deviations)
 
     def clock(self, parameters: Parameters) -> Clock:
-        """Give the clock of some parameters."""
+        """Return the clock that these parameters describe."""
         values = self.values(parameters)
         if not len(values):
             return Clock(parameters.t_d_s)
@@ -68,21 +68,21 @@ class ClockModel:
         return Clock(parameters.t_d_s, skew_ppm, self.t_ref_s, self.knots_s, strays_s)
 
     def values(self, parameters: Parameters) -> Array:
-        """Take the clock's columns of the parameters."""
+        """Values (m,) of the clock's columns: the skew and the modes."""
         return parameters.columns[: len(self.deviations)]
 
     def readouts_s(self, parameters: Parameters) -> Array:
-        """Take the columns (k,) [s] of shutters that are estimated."""
+        """Values (k,) [s] of the columns of readouts that are estimated."""
         first = len(self.deviations)
         return parameters.columns[first : first + len(self.shutters.cameras)]
 
     def views(self, views: TwoViews, parameters: Parameters) -> TwoViews:
-        """Give both views under the clock, and with the readouts, of some parameters."""
+        """Return both views under the clock, and with the readouts, of these parameters."""
         read_out = self.shutters.views(views, self.readouts_s(parameters))
         return read_out.under(self.clock(parameters))
 
     def start(self, estimate: Estimate) -> Array:
-        """Give the values (m + k,) to start from: those of an estimate."""
+        """Values (m + k,) of the columns to start from, taken from an estimate."""
         values = np.zeros(len(self.deviations))
         if len(values) and np.isfinite(estimate.skew_ppm):
             values[0] = PPM * estimate.skew_ppm
@@ -92,7 +92,7 @@ class ClockModel:
         return np.append(values, self.shutters.readouts_s(estimate))
 
     def problem(self, problem: Problem, parameters: Parameters, views: TwoViews) -> Problem:
-        """Add clock and shutters to a problem of pairs that were sampled with some parameters."""
+        """Add columns and priors of clock and readouts; `parameters` are those of the sampling."""
         pairs, shutters, first = problem.pairs, self.shutters, self.first_readout
         nothing = np.zeros_like(pairs.p1_px)
         columns = [
@@ -115,7 +115,7 @@ class ClockModel:
         return replace(problem, columns=tuple(columns), priors=tuple(priors))
 
     def solve(self, problem: Problem, start: Parameters, **how: Any) -> Solution:
-        """Solve a problem with readouts that are not beyond their bounds, but held at these."""
+        """Solve a problem; a readout that would leave its bounds is held at the bound."""
         found, held, held_s = solve(problem, start, **how), problem, 1e-6
         for _ in self.shutters.cameras:
             values_s = self.readouts_s(found.parameters)
@@ -133,7 +133,7 @@ class ClockModel:
         return found
 
     def moved_s(self, one: Parameters, other: Parameters) -> float:
-        """Rms change [s] of clocks, the offset apart, over the common time, and of shutters."""
+        """Rms change [s] of the clock but for its offset, over the common time, and of readouts."""
         change = np.abs(self.values(one) - self.values(other))
         read_out = float(np.linalg.norm(self.readouts_s(one) - self.readouts_s(other)))
         if not len(change):
@@ -142,7 +142,7 @@ class ClockModel:
         return float(np.hypot(strayed, read_out))
 
     def told(self, estimate: Estimate, residuals: Residuals, covariance: Array) -> Estimate:
-        """Put the clock found, and readouts said and found, into an estimate."""
+        """Add to an estimate the clock found, and the readouts stated or found."""
         problem, parameters = residuals.problem, residuals.parameters
         said = [camera.readout_s for camera in (problem.rig.cam1, problem.rig.cam2)]
         readouts_s = np.array([np.nan if one is None else one for one in said])
@@ -159,7 +159,7 @@ class ClockModel:
             skew_ppm=clock.skew_ppm,
             skew_std_ppm=0.0,
         )
-        if not len(self.deviations):  # both run alike: that was said beforehand
+        if not len(self.deviations):  # both clocks are taken to run alike
             return told
         free = np.searchsorted(problem.free, [T_D, *range(FIRST_COLUMN, self.first_readout)])
         covariance = covariance[np.ix_(free, free)]
@@ -174,10 +174,10 @@ class ClockModel:
         )
 
     def against(self, residuals: Residuals, hidden_px: Array) -> float:
-        """Give by how many deviations what is seen speaks against the prior of the skew.
+        """Return by how many deviations the views contradict the prior of the skew.
 
-        It is the skew that fits best by itself over its deviation, the prior's and that of the fit
-        together. A prior that is far too narrow keeps the skew found near zero all the same.
+        The skew that fits best without the prior is divided by the deviation of prior and fit
+        together, as a prior that is far too narrow keeps the estimated skew near zero.
         """
         if len(self.deviations) != 1:
             return 0.0
@@ -188,7 +188,7 @@ class ClockModel:
         return float(abs(alone.parameters.columns[0]) / std)
 
     def _functions(self, times_s: Array) -> list[Array]:
-        """Give what a value of one of each parameter adds (n,) at times (n,) [s]."""
+        """Return the clock's changes (n,) at times (n,) [s], per unit of each of its parameters."""
         if not len(self.deviations):
             return []
         modes = [np.interp(times_s, self.knots_s, mode) for mode in self.modes.T]
@@ -196,7 +196,7 @@ class ClockModel:
 
 
 def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
-    """Say what is to be found of both clocks, as the config asks for, and of shutters."""
+    """Choose what is estimated of the clock, as the config asks for, and of shutters."""
     first_s, last_s = views.common_s(start.t_d_s)
     half_s = 0.5 * (last_s - first_s)
     t_ref_s = float(start.t_ref_s if np.isfinite(start.t_ref_s) else 0.5 * (first_s + last_s))
@@ -212,7 +212,7 @@ def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
 
 
 def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
-    """Give modes (k, k - 2) of rms 1 without offset and skew, and their deviations (k - 2,) [s]."""
+    """Modes (k, k - 2), of rms 1, without offset and skew; their prior deviations (k - 2,) [s]."""
     k = len(knots_s)
     step_s = float(knots_s[1] - knots_s[0])
     roughness = np.diff(np.eye(k), 2, axis=0) / step_s  # (k - 2, k) changes of the skew
@@ -225,10 +225,10 @@ def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
 def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Estimate:
     """Refuse a refined estimate where camera 2's clock jumps, by the residuals of its solution.
 
-    A step of the offset is tried at every second: one more column of the same least squares, so
-    that neither the pose nor the skew, which a jump bends as well, hides it. Where the best one is
-    beyond chance it is solved for, and moved to the instant from which on the later offset fits
-    better.
+    A step of the offset is tried every second, as one more column of the same least squares, so
+    that it is not hidden by the pose and the skew, which a jump biases too. If the best step is
+    beyond chance, its size is solved for, and it is moved to the instant after which the later
+    offset fits better.
     """
     rules = model.rules
     problem, start = replace(last.problem, turn=CAUCHY), last.parameters  # a jump is no outlier
@@ -265,8 +265,8 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
 
 
 def _likely(residuals: Residuals, rules: ClockRules) -> float | None:
-    """Find the instant [s] where a step tells most; None where it would be no jump in any case."""
-    # Errors that are correlated in time make a step's deviation larger than it is taken for here.
+    """Find the instant [s] of the most significant step; None where no step can be a jump."""
+    # Errors correlated in time make a step's true deviation larger than the one assumed here.
     times_s = residuals.problem.pairs.times_s
     margin_s = rules.jump_margin_s
     first_s, last_s = float(np.min(times_s)) + margin_s, float(np.max(times_s)) - margin_s
@@ -276,7 +276,7 @@ def _likely(residuals: Residuals, rules: ClockRules) -> float | None:
     tried_s = np.linspace(first_s, last_s, n)
     system, target = residuals.system()
     left = -target
-    # A step moves the later pairs as the offset, the first of the parameters, does, and no prior.
+    # A step moves later pairs as the offset, the first parameter, does; priors' rows stay zero.
     steps: Array = np.zeros((len(system), n))
     steps[: len(times_s)] = system[: len(times_s), :1] * (times_s[:, None] >= tried_s)
     Q = np.linalg.qr(system)[0]
@@ -289,7 +289,7 @@ def _likely(residuals: Residuals, rules: ClockRules) -> float | None:
 
 
 def _with_step(problem: Problem, later: Any) -> Problem:
-    """Add a step of the offset, of those pairs (n,) that are later, as the last column."""
+    """Add, as the last column, a step of the offset for the pairs of the mask `later` (n,)."""
     pairs = problem.pairs
     moves_px = later[:, None] * pairs.v2_px_s
     step = Column(np.zeros_like(pairs.p1_px), moves_px, is_of_clock=True)
@@ -297,7 +297,7 @@ def _with_step(problem: Problem, later: Any) -> Problem:
 
 
 def _better_skew_ppm(problem: Problem, start: Parameters, stepped: Residuals) -> float | None:
-    """Give the skew [ppm] that fits better, if nothing is known of it, than a step; else None."""
+    """Return the skew [ppm] that fits best without a prior, if better than a step; else None."""
     skewed = _with_open_skew(problem, start)
     scale_px = max(robust_deviation(stepped.distances_px), 1e-12)
     by_skew, by_step = (
@@ -307,7 +307,7 @@ def _better_skew_ppm(problem: Problem, start: Parameters, stepped: Residuals) ->
 
 
 def _with_open_skew(problem: Problem, start: Parameters, **how: Any) -> Residuals:
-    """Fit a problem as if nothing were known of the skew beforehand."""
+    """Fit a problem without the prior of the skew."""
     priors = tuple(prior for prior in problem.priors if prior.place != FIRST_COLUMN)
     open_one = replace(problem, priors=priors)
     return linearise(open_one, solve(open_one, start, **how).parameters)
@@ -334,11 +334,11 @@ def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRul
 
 
 def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
-    """Search anew with other skews, where the prior allows for ones that matter.
+    """Repeat the search with other skews, where the prior allows skews that matter.
 
-    Where clocks may differ by far, over a long recording, no one offset fits both of its ends. So
-    the search, whose start had clocks alike, is repeated with skews so near to each other that the
-    ends differ by little. Of all the one that fits best is given, or the start where none does.
+    Where clocks may differ much, no single offset fits both ends of a long recording. So the
+    search, which gave the start with clocks alike, is repeated with skews so close together that
+    the ends hardly differ. The estimate that fits best is returned, or the start where none fits.
     """
     first_s, last_s = _common_s(start, views)
     half_s, t_ref_s = 0.5 * (last_s - first_s), 0.5 * (first_s + last_s)
@@ -361,6 +361,6 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def _common_s(estimate: Estimate, views: TwoViews) -> tuple[float, float]:
-    """Start and end of the common time at an estimate's offset, or amid all that are searched."""
+    """Start and end [s] of the common time at an estimate's offset, or mid-search without one."""
     known = np.isfinite(estimate.t_d_s)
     return views.common_s(float(estimate.t_d_s if known else np.mean(views.config.offsets_s)))

@@ -25,7 +25,7 @@ class Signal:
 
 
 def counted(times_us: IntArray, bin_us: int) -> Signal:
-    """Count times (n,) [us], ascending, maybe none, in each bin from the first time to the last."""
+    """Count ascending times (n,) [us] in each bin from the first to the last; there may be none."""
     if len(times_us) == 0:
         return Signal(0, np.empty(0))
     bins = times_us // bin_us
@@ -33,8 +33,8 @@ def counted(times_us: IntArray, bin_us: int) -> Signal:
 
 
 def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
-    """Average values (n,) at ascending times in each bin, empty bins interpolated."""
-    bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
+    """Average values (n,) at ascending times in each bin; empty bins are interpolated."""
+    bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often bounds of bins
     if len(bins) == 0:
         return Signal(0, np.empty(0))
     counts = np.bincount(bins - bins[0])
@@ -48,8 +48,8 @@ def zncc(
 ) -> Array:
     """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
 
-    From -1 to 1, over the bins that both signals cover; NaN when these are less than a share of the
-    shorter signal, or a signal is constant.
+    Each value, from -1 to 1, is over the bins that both signals cover; it is NaN where these are
+    fewer than 2 or than a share `min_overlap` of the shorter signal, or a signal is constant there.
     """
     curve = np.full(len(lags), np.nan)
     needed = max(2.0, min_overlap * min(len(signal1.values), len(signal2.values)))
@@ -140,14 +140,14 @@ def _most_alike(method: str, signals: list[Signal], bin_s: float, config: Config
 def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the brightness of both cameras' frames is most alike.
 
-    After Perot et al. (2020), as `zncc_e`, of one number per frame. Deviation: the paper does not
+    After Perot et al. (2020), as `zncc_e`, with one number per frame. Deviation: the paper does not
     say which; here it is the mean brightness, whose errors are nearest to the paper's at all angles
     (docs/methods.md). Frames are put on one grid of 20 ms in both clocks, so that the offset found
     is a multiple of 20 ms, as the paper states.
     """
     frame_s, signals = config.rules.signals.frame_s, []
     for seen in (one, other):
-        assert seen.frames is not None  # else the method lacks them, and is not run
+        assert seen.frames is not None  # a method that lacks frames is not run
         assert seen.frame_times_s is not None
         signals.append(binned(seen.frame_times_s, frame_means(seen.frames), frame_s))
     return _most_alike("zncc_f", signals, frame_s, config)

@@ -1,8 +1,8 @@
-"""Which offset and pose are right, where the cost curve or F leaves several open.
+"""The choice of offset and pose, where the cost curve or F leaves several open.
 
-F has seven parameters and a pose only five, so that a path on which F is open, one in a plane say,
-may still tell the pose; and where the cost curve of F has several valleys, refined poses may tell
-which is the true one. So there are three steps: the hypotheses, every offset and pose that is in
+F has seven parameters and a pose only five. So a path that leaves F open, such as one in a plane,
+may still determine the pose; and where the cost curve of F has several valleys, refined poses may
+tell which is the true one. There are three steps: the hypotheses, every offset and pose in
 question; their refinement; and the choice of the best, or of none where another fits about as well.
 """
 
@@ -38,7 +38,7 @@ class Solution:
 
 
 def choose(start: Estimate, solutions: list[Solution], rules: Rules) -> Estimate:
-    """Take the solution that fits best, or the start of none; or say which others fit as well."""
+    """Return the best solution, refused if others fit as well; without any, return the start."""
     if not solutions:
         return start
     rivals = _rivals(solutions, rules.hypotheses.clearly)
@@ -70,7 +70,7 @@ def _rivals(solutions: list[Solution], clearly: float) -> list[Solution]:
 
 
 def _distinct_offsets(rivals: list[Solution], same_s: float) -> list[float]:
-    """Offsets of solutions, those that are one left out but for the first."""
+    """Offsets of solutions, without those within `same_s` of an earlier one."""
     offsets_s: list[float] = []
     for found in rivals:
         if all(abs(found.estimate.t_d_s - other_s) > same_s for other_s in offsets_s):
@@ -88,17 +88,17 @@ def _apart(one: Estimate, other: Estimate) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """The choice between all that is in question of two views, each refined in one way."""
+    """The choice between all hypotheses on two views, each refined by the same function."""
 
     views: TwoViews
     refine: Callable[[Estimate, TwoViews], Estimate]
-    by_own_pairs: bool = False  # the distance that counts is of what is refined, else of positions
+    by_own_pairs: bool = False  # compares distances of the refined pairs, else of positions
 
     def settled(self, start: Estimate) -> Estimate:
-        """Refine an estimate, and all that is in question beside it, and choose the best.
+        """Refine an estimate and the other hypotheses, and choose the best.
 
-        The start is given back when nothing can be made of it. The result is not judged by its own
-        covariance yet, which is for `ssac.methods.verdict.certain`.
+        Without a solution, a clock jump that was found is returned, or else the start, refined if
+        "ok". `ssac.methods.verdict.certain` is yet to judge the result by its covariance.
         """
         if start.status == Status.OK:
             start = self.refine(start, self.views)
@@ -121,12 +121,12 @@ class Choice:
         return choose(start, found, rules)
 
     def confirmed(self, estimate: Estimate, start: Estimate) -> Estimate:
-        """Keep to the search's refusal where the failure of all other hypotheses says little.
+        """Keep the search's refusal where the failure of all other hypotheses says little.
 
-        On a circle F is open at any offset, so that other poses may fit that no hypothesis led to;
-        and so they may all along a valley without an end. On a helix, where a search of all offsets
-        allows a long one, what the means of events stray by decides between its offsets: `joint`
-        was up to 14 of its deviations off. The start is of the search.
+        `start` is the search's estimate. On a circle F is open at any offset, so that poses may fit
+        to which no hypothesis led; likewise all along an endless valley. On a helix, where a search
+        of all offsets allows a long valley, the bias of the events' means decides between its
+        offsets: `joint` was off by up to 14 of its deviations.
         """
         views, rules = self.views, self.views.rules
         of_means = any(isinstance(one, ObjectMotion) for one in views.motions)
@@ -146,9 +146,9 @@ class Choice:
         return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
 
     def hypotheses(self, start: Estimate) -> list[Estimate]:
-        """Offsets and poses that are in question beside an estimate; none where none is.
+        """Offsets and poses in question beside an estimate; there may be none.
 
-        Of one that is "ok" and refined: the other poses of the plane in which the path may lie.
+        Beside a refined "ok" estimate: the homography's poses, where the path may lie in a plane.
         """
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
@@ -158,9 +158,9 @@ class Choice:
         if start.status == Status.AMBIGUOUS_OFFSET:
             offsets_s = _offsets_of_valleys(start, self.views.rules)
             if self._is_short(offsets_s[0]):
-                return []  # what is found would be chance: its start says that, too
-        # F left the pose open, so that a calibrated one may still be found; but a straight path's
-        # offset has a deviation.
+                return []  # a solution would be chance; the start is refused already
+        # F left the pose open, but known intrinsics may still determine it. A straight path, whose
+        # offset has a deviation, has no hypotheses.
         elif np.isfinite(start.t_d_s) and not np.isfinite(start.t_d_std_s):
             offsets_s = [start.t_d_s, *(start.t_d_s + shift_s for shift_s in rules.probes_s)]
         else:
@@ -187,7 +187,7 @@ class Choice:
         return views.swings(views.pairs_at(t_d_s)) < least
 
     def _weighed(self, estimate: Estimate) -> list[Solution]:
-        """Weigh an estimate by the trimmed mean distance of the sharp positions, where it can."""
+        """Rate an estimate by sharp positions' trimmed mean distance; empty if they are too few."""
         views, rules = self.views, self.views.rules
         shutters = shutters_of(views)
         views = shutters.views(views, shutters.readouts_s(estimate)).under(estimate.clock)
@@ -204,7 +204,7 @@ class Choice:
         return [Solution(estimate, distance_px, object_px)]
 
     def _other_poses_of_a_plane(self, start: Estimate) -> list[Estimate]:
-        """Give the poses of the homography between views, where the path may lie in a plane."""
+        """Return the poses of the homography between views, if the path may lie in a plane."""
         views, rules = self.views.under(start.clock), self.views.rules
         pairs = views.pairs_at(start.t_d_s)
         x1, x2 = pairs.rays(views.rig)
@@ -233,7 +233,7 @@ def _offsets_of_valleys(start: Estimate, rules: Rules) -> list[float]:
     best_s = start.candidates_s[known][np.argmin(start.costs[known])]
     step_s, offsets_s = rules.hypotheses.start_step_s, list[float]()
     for valley in valleys(start.candidates_s, start.costs, best_s, rules.search):
-        within = np.arange(valley.first_s, valley.last_s, step_s)[1:]  # of one that is long
+        within = np.arange(valley.first_s, valley.last_s, step_s)[1:]  # more in a long valley
         offsets_s += [valley.least_s, *within.tolist()]
     order = np.argsort(np.interp(offsets_s, start.candidates_s[known], start.costs[known]))
     return [offsets_s[k] for k in order[: rules.hypotheses.max_offsets]]

@@ -3,10 +3,10 @@
 Beyond the paper. The residuals are Sampson distances between the positions p1(t_i) and
 p2(t_i + t_d), as `ssac.fit.least_squares` has them.
 
-What limits the accuracy is not noise: the mean of the events is not the image of any fixed point of
-the object, and strays from it by an amount that changes slowly with attitude and grows with the
-object's image. So the positions are those of `ObjectMotion.sharp_at`, and each residual is weighed
-by the inverse of its images' size.
+What limits the accuracy is not noise: the mean of the events is the image of no fixed point of the
+object, but has a bias that changes slowly with attitude and grows with the object's image. So the
+positions are those of `ObjectMotion.sharp_at`, and each residual is weighted by the inverse of its
+images' size.
 """
 
 from dataclasses import replace
@@ -68,7 +68,7 @@ class _OfPositions(Refinement):
         self.one = views.motion1, views.motion1.sharp_at(self.times_s)
 
     def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
-        if seen.motion1 is not self.one[0]:  # as the readout of a shutter changes it
+        if seen.motion1 is not self.one[0]:  # another readout of a shutter was tried
             self.one = seen.motion1, seen.motion1.sharp_at(self.times_s)
         track2 = seen.motion2.sharp_at(seen.on_clock_2(self.times_s, parameters.t_d_s))
         pairs, self.size_px = sharp_pairs(self.one[1], track2, parameters.t_d_s)
@@ -105,8 +105,8 @@ class _OfPositions(Refinement):
             seen = self.model.views(self.views, parameters)
             offset = max(offset, rules.known_bias_offset * seen.lasting_share(parameters.t_d_s))
         bias = self.size_px, np.array([rules.bias_slope, rules.bias_slope, offset])
-        # Distances are weighed by the inverse of the image's size, and the bias is a part of it: so
-        # the weights drop out.
+        # Distances are weighted by the inverse of the image's size, to which the bias is
+        # proportional: so the weights cancel.
         return smooth_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
 
 

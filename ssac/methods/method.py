@@ -1,12 +1,12 @@
-"""What a method is, and how one says so: a decorator above the function that runs.
+"""The record of a method, and the decorator that declares a function as a method.
 
     @method("joint", "ssac, then offset and pose refined together", starts_from="ssac")
     def joint_from(start: Estimate, views: TwoViews) -> Estimate:
 
-The function takes an estimate and the views that it was found in, where it `starts_from` another
-method; else the views, or both cameras and the config. A file of this folder with such a function
-is all that a method takes: the registry, the command line and `ssac.joint` read it off the source,
-so that a list of methods imports none of them.
+A function that `starts_from` another method takes that method's estimate and the views that it was
+found in. Others take the views, or, for rates and frames, both observations and the config. To add
+a method, a file of this folder with such a function is enough: the registry, the command line and
+`ssac.joint` read the declarations from the source, and so list methods without importing them.
 """
 
 import ast
@@ -25,8 +25,8 @@ if TYPE_CHECKING:  # what takes long to import is not needed to list methods
     from ssac.config import Config
     from ssac.estimate import Estimate
 
-PACKAGE = __name__.rpartition(".")[0]  # of our methods, and the group of others' entry points
-DEFAULT = "tangency"  # the most accurate of unknown extrinsics; its `known_variant`: of known ones
+PACKAGE = __name__.rpartition(".")[0]  # of our methods; also the entry point group of others
+DEFAULT = "tangency"  # most accurate without known extrinsics; with them, its `known_variant` is
 OF_TRACKS = "joint"  # the most accurate where a camera gave a track of points
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -36,7 +36,7 @@ _DECLARED = re.compile(rf"^((?:{_DECORATOR})+)(?:@[^\n]*\n)*def (\w+)\(", re.MUL
 
 
 class Input(Enum):
-    """What a method looks at."""
+    """The data that a method compares."""
 
     TRACKS = "object tracks"
     RATES = "event rates"
@@ -48,34 +48,34 @@ class Method:
     """One way to find the offset, and perhaps the pose."""
 
     name: str  # as `--method` takes it
-    estimate: "Callable[..., Estimate] | None"  # another package's; None: ours, which `runs` names
-    input: Input  # what it looks at
+    estimate: "Callable[..., Estimate] | None"  # of another package; None: ours, see `runs`
+    input: Input  # the data that it compares
     summary: str  # for lists and error messages
-    needs_extrinsics: bool = False  # the rig must have T_2_1, which no other method is shown
+    needs_extrinsics: bool = False  # the rig must have T_2_1; other methods do not get it
     known_variant: str = ""  # name of the method to take in its place when the extrinsics are known
     version: str = ""  # of another package's code, for keys of cached results; empty for ours
-    runs: str = ""  # ours, as "module:function"
+    runs: str = ""  # function of a method of ours, as "module:function"
     starts_from: str = ""  # method whose estimate it refines
-    keeps_start: str = ""  # "module:function": of which views that estimate is the answer
-    takes_means: bool = False  # of the frames: images of one pixel give the same estimate
-    follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
+    keeps_start: str = ""  # "module:function", true of views for which the start is the answer
+    takes_means: bool = False  # only frames' means count: images of one pixel serve as well
+    follows_clock: bool = False  # an offset of camera 2's clock adds to t_d, and changes no more
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
-    needs_events: bool = False  # a track of points in their place is not enough
-    finds_readout: bool = False  # of a rolling shutter that the rig does not state
-    of_one_object: bool = False  # of several things that move, it is given the events of one
+    needs_events: bool = False  # a track of points cannot replace them
+    finds_readout: bool = False  # of a rolling shutter, where the rig does not state it exactly
+    of_one_object: bool = False  # where several things move, it gets the events of one of them
 
     def rig_of(self, rig: "Rig") -> "Rig":
-        """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
+        """Return the rig, without its extrinsics unless the method needs them."""
         return rig if self.needs_extrinsics else rig.unposed
 
     @property
     def function(self) -> "Callable[..., Estimate]":
-        """What `runs` names."""
+        """The function that `runs` names."""
         found: Callable[..., Estimate] = _imported(self.runs)
         return found
 
     def keeps(self, views: Any) -> bool:
-        """Whether the answer for these views is the estimate that it starts from."""
+        """Whether the method's answer for these views is the estimate that it starts from."""
         return bool(self.keeps_start and _imported(self.keeps_start)(views))
 
     @property
@@ -91,7 +91,7 @@ class Method:
     ) -> str:
         """Say what the method lacks to run at all; empty when it can.
 
-        Of both cameras, `seen` has a name, and whether it gave a track of points.
+        `seen` has the name of each camera, and whether the camera gave a track of points.
         """
         for name, has_track in seen:
             if has_track and self.without_tracks:
@@ -121,11 +121,11 @@ class Method:
 
 
 def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Function], Function]:
-    """Declare a method that the function below runs; it has no effect at run time.
+    """Declare the function below as a method; this has no effect at run time.
 
-    All is in quotes, or numbers, as nothing is evaluated: name and summary, the place in lists from
-    1 on (those without one come last, by name), and further fields of `Method`. `known` sums up the
-    variant for known extrinsics, which follows in lists, where the same function runs it.
+    All arguments are literals or members of `Input`, as the source is only parsed: name, summary,
+    place in lists from 1 on (those without one come last, by name), and other fields of `Method`.
+    `known` sums up a variant for known extrinsics, run by the same function and next in lists.
     """
     del name, summary, place, says
     return lambda function: function
@@ -133,13 +133,13 @@ def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Fu
 
 @cache
 def our_methods() -> tuple[Method, ...]:
-    """Read all that is declared in this folder off the source."""
+    """Parse the declarations of all methods of this folder; return them in the order of lists."""
     found = [one for path in Path(__file__).parent.glob("*.py") for one in _declared_in(path)]
     return tuple(one for _, one in sorted(found, key=lambda pair: (pair[0], pair[1].name)))
 
 
 def all_summaries() -> Mapping[str, str]:
-    """List our methods, then those of other packages, by name, with the package of each."""
+    """Summaries by name: of our methods, then of others, whose summary names their package."""
     ours = {one.name: one.summary for one in our_methods()}
     others = {
         entry.name: f"of the package {entry.dist.name}" if entry.dist else "of another package"
@@ -171,7 +171,7 @@ def _declared_in(path: Path) -> Iterator[tuple[float, Method]]:
 
 
 def _value(node: ast.expr) -> Any:
-    """Give what a declaration says: a literal, or a member of `Input`."""
+    """Value of a declaration's argument: a literal, or a member of `Input`."""
     return Input[node.attr] if isinstance(node, ast.Attribute) else ast.literal_eval(node)
 
 

@@ -1,8 +1,8 @@
-"""The one refinement of offset and pose by robust least squares, whatever its pairs are.
+"""The refinement of offset and pose by robust least squares, for pairs of any kind.
 
-Pairs are sampled under an estimate, the problem is solved, and pairs are sampled anew under what
-was found, until nothing changes. What pairs are, and when nothing changes, is for `joint` and
-`tangency` to say.
+Pairs are sampled with the parameters of an estimate, the problem is solved, and pairs are sampled
+anew with its solution, until that settles. Subclasses in `joint` and `tangency` define what pairs
+are and when a solution has settled.
 """
 
 from abc import ABC, abstractmethod
@@ -26,7 +26,7 @@ from ssac.search.two_views import TwoViews
 
 @dataclass(frozen=True)
 class Round:
-    """Pairs that were sampled with some parameters, and what was found of them."""
+    """Pairs that were sampled with some parameters, and the solution of their problem."""
 
     number: int
     seen: TwoViews  # under the clock and with the readouts of the parameters
@@ -36,16 +36,16 @@ class Round:
 
     @property
     def shift_s(self) -> float:
-        """By which it changes the offset."""
+        """Absolute change [s] of the offset in this round."""
         return abs(self.found.parameters.t_d_s - self.before.t_d_s)
 
 
 class Refinement(ABC):
-    """Rounds of sampling pairs and solving for offset, pose, clock and what is allowed for."""
+    """Rounds of sampling pairs and solving for offset, pose, clock, readouts and intrinsics."""
 
     max_rounds: int
     size_px: float  # rms size of the object's images, both together
-    turn = last_turn = CAUCHY  # where the loss turns, in a round and at last
+    turn = last_turn = CAUCHY  # scale of the loss: in a round, and for the result
     lessens = True  # as for `correlated_covariance`
 
     def __init__(self, start: Estimate, views: TwoViews) -> None:
@@ -56,26 +56,26 @@ class Refinement(ABC):
 
     @abstractmethod
     def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
-        """Sample pairs with some parameters, under whose clock the views are seen."""
+        """Sample pairs with some parameters; `seen` are the views with their clock and readouts."""
 
     @abstractmethod
     def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:
-        """Refuse parameters with which too few pairs are sampled."""
+        """Return the refusal of parameters with which too few pairs are sampled."""
 
     @abstractmethod
     def settles(self, last: Round) -> bool:
-        """Whether nothing changes any more, once all is allowed for."""
+        """Whether a round changed next to nothing; asked once the allowance is complete."""
 
     @abstractmethod
     def refused(self, last: Round) -> Estimate | None:
-        """Give up after a round, or make ready for the next one."""
+        """Return a refusal after a round; or prepare the next round and return None."""
 
     @abstractmethod
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Give what errors that no residual shows do to the distances: (n, m)."""
+        """Return the distances' changes (n, m) by a deviation of m errors no residual shows."""
 
     def estimate(self, R: Array, t: Array) -> Estimate:
-        """Refine the start's offset, and a pose if it is not known: else with no `covariance`."""
+        """Refine offset and pose; with a known pose the offset alone, without `covariance`."""
         start, views, model = self.start, self.views, self.model
         parameters = Parameters(start.t_d_s, R, t, model.start(start))
         for number in range(self.max_rounds):
@@ -103,7 +103,7 @@ class Refinement(ABC):
         covariance = covariance + residuals.hidden_covariance(hidden_px)
         unfinished = [] if settles else [found.change]
         unfinished += [] if found.converged else [found.last_step]
-        # The last change, or step, of the free parameters may not matter beside their deviations.
+        # An unfinished iteration serves if its last change is small beside the deviations.
         most, free = self.rules.fit.max_last_change * np.sqrt(np.diag(covariance)), problem.free
         if any(np.any(np.abs(change[free]) > most) for change in unfinished):
             reason = f"after {self.max_rounds} rounds the refinement from {start.t_d_s:.3f} s"
@@ -119,17 +119,17 @@ class Refinement(ABC):
         return bool(distance_px <= self.rules.hypotheses.flat * self.size_px)
 
     def no_convergence(self, reason: str) -> Estimate:
-        """Refuse what the iterations do not lead to."""
+        """Refuse the start with the status "no_convergence"."""
         return replace(self.start, status=Status.NO_CONVERGENCE, reason=reason)
 
     def moved(self, parameters: Parameters) -> str:
-        """Say where the refinement went."""
+        """Say by how much the refinement moved the offset."""
         return f"the refinement moved t_d from {self.start.t_d_s:.3f} to {parameters.t_d_s:.3f} s"
 
     def _told(
         self, start: Estimate, residuals: Residuals, covariance: Array, hidden_px: Array
     ) -> Estimate:
-        """Put the parameters found, and the covariance of those that were free, into the start."""
+        """Add the parameters found, and the covariance of the free ones, to the start."""
         problem, parameters = residuals.problem, residuals.parameters
         fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
         Ks = intrinsics_of(problem, parameters)
@@ -159,11 +159,11 @@ class Refinement(ABC):
 def smooth_errors(
     F: Array, p1_px: Array, p2_px: Array, size_px: float, bias: Array, rig: Rig
 ) -> Array:
-    """Give what each part of a bias in both views, one deviation of it, does to distances: (n, 12).
+    """Return the changes (n, 12) of the distances by a deviation of each part of both views' bias.
 
-    Where on the object its place is taken to be changes smoothly with the image position, which a
-    change of pose can take away, so that no residual shows it. The bias's parts (3,) are shares of
-    the object's size: per unit of x / z and y / z, and anywhere. Distances are not weighed.
+    The point of the object that positions show moves smoothly with the image position. A change of
+    pose can compensate for this, so that no residual shows it. Deviations `bias` (3,) are shares of
+    the object's size: per unit of x / z and of y / z, and constant. Distances are not weighted.
     """
     parts = []
     for F_there, there, here, K in ((F.T, p2_px, p1_px, rig.cam1.K), (F, p1_px, p2_px, rig.cam2.K)):

@@ -1,10 +1,10 @@
-"""One point of a rigid body in two views, which pairs as an image of one point does.
+"""One point of a rigid body, followed in two views so that its images correspond.
 
-Beyond the paper. Tangents of outlines miss thin parts in one view and not in the other. A body of
-voxels that turns as one does not: both views' silhouettes together tell its shape and attitudes
-(`ssac.track.body`), and where it is in each image is told by all of its image. For that it must be
-known roughly where the body is: its place is triangulated with an offset and a pose, and by how
-much its drawings must be moved in each view is what the images say against these.
+Beyond the paper. Tangents of outlines may miss thin parts in one view and not in the other. A rigid
+body of voxels does not: both views' silhouettes together determine its shape and attitudes
+(`ssac.track.body`), and its whole image determines its place in each view. This needs a rough place
+of the body, which is triangulated with an offset and a pose. By how much the body's rendered images
+must then be moved in each view shows where the images contradict this offset and pose.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ from ssac.track.silhouette import Images
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """What silhouettes tell of the object in one view, at n times of its own clock."""
+    """The object's silhouettes in one view, and what they tell, at n times of its own clock."""
 
     K: Array  # (3, 3)
     times_s: Array  # (n,)
@@ -38,9 +38,9 @@ class _Shape:
 
 
 def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
-    """Follow one point of the body in both views, about where an offset and a pose put it.
+    """Follow one point of the body in both views, near where an offset and a pose put it.
 
-    A sentence says why there is none; it is empty where nothing could be tried.
+    Without a body, a sentence says why; it is empty where nothing could be tried.
     """
     if views.cleans is None or found.R is None or found.t is None:
         return ""
@@ -54,15 +54,15 @@ def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMot
 
 
 def is_large(views: TwoViews) -> bool:
-    """Whether an image is so large that its events' mean is far off, and a body errs more."""
+    """Whether an image is so large that its events' mean is far off, and tangents beat a body."""
     sizes_px = [view.size_px for view in views.alone.views if view is not None]
     return max(sizes_px, default=0.0) >= views.rules.silhouette.large_px
 
 
 def by_areas(views: TwoViews, t_d_s: float) -> TwoViews | None:
-    """Give the views where the object is at the centres of its silhouettes; None without them.
+    """Return the views with the silhouettes' centres as positions; None without silhouettes.
 
-    Offsets are searched about one [s], if it is not NaN.
+    Offsets are to be searched within `area_reach_s` of t_d [s], unless this is NaN.
     """
     shapes = _shapes_of(views)
     if isinstance(shapes, str):
@@ -114,7 +114,7 @@ def _followed(
     poses = (np.eye(3), np.zeros(3)), (R, t)
 
     def points(times_s: Array) -> Array:
-        """Where the object is (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
+        """Triangulate the object (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
         rays1, rays2 = (
             rays_of(shape.K, np.round(shape.centres.at(own_s).positions_px, 4))
             for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
@@ -156,8 +156,8 @@ def _followed(
 
 
 def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
-    """Give the clock, R and t of an estimate, rounded by less than an image can tell."""
-    # Comparisons would tell rounding errors: with a delayed clock they would fall out otherwise.
+    """Return the clock, R and t of an estimate, rounded by less than images resolve."""
+    # Else rounding errors would decide comparisons, and differently with a delayed clock.
     assert found.R is not None
     assert found.t is not None
     clock = found.clock
@@ -172,6 +172,6 @@ def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
 
 
 def _in_front(points: Array) -> tuple[Array, Mask]:
-    """Give points (n, 3), anywhere in front where they are not known, and where they are."""
+    """Return points (n, 3), (0, 0, 1) where unknown or behind, and the mask of the others."""
     known = np.isfinite(points[:, 2]) & (points[:, 2] > 0.0)
     return np.where(known[:, None], points, np.array([0.0, 0.0, 1.0])), known

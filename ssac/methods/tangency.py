@@ -1,14 +1,14 @@
 """Offset and pose refined by the outline's epipolar tangents, from the joint refinement's result.
 
-Beyond the paper. Whatever is taken for the object's position, a mean of its events or a sharper
-one, is the image of no fixed point of it: it strays with attitude and viewpoint, and this bias, not
-noise, limits what such positions give, the more the larger the object. Its two tangent epipolar
-planes are the same in both views for any shape (`ssac.track.outline`), so the points where they
-touch, those of one side in both views, are pairs without that bias. They take the place of the
-positions in the same least squares, and are found anew after each, as they depend on the pose.
+Beyond the paper. The object's position, be it a mean of its events or a sharper one, is the image
+of no fixed point of the object: it changes with attitude and viewpoint. This bias, not noise,
+limits the accuracy, the more the larger the object. The two epipolar planes that touch the object
+are the same in both views for any shape (`ssac.track.outline`), so the points where one of them
+touches both outlines are pairs without that bias. Such pairs replace the positions in the same
+least squares, and are found anew after each solution, as they depend on the pose.
 
 Errors of the outline are one-sided and long-tailed: a thin or pale tip is missed in one view and
-seen in the other. So the loss turns early, and a pair counts by how sharp its outlines are.
+seen in the other. So the loss has a small scale, and weights grow with the outlines' sharpness.
 """
 
 from dataclasses import replace
@@ -33,14 +33,14 @@ from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion, PointMotion
 from ssac.track.outline import OutlineEvents, Tangents, near_outline, tangents
 
-TangencyConfig = TangencyRules  # as studies of its variants call it
+TangencyConfig = TangencyRules  # the name that studies of its variants use
 
 
 def for_blind(views: TwoViews) -> TwoViews:
-    """Look for the outline in a way that bears a camera that is blind now and then, if one is.
+    """Return the views with rules of the outline for blind spans, if a camera has any.
 
-    The mean of a window's events then has another time than the window's middle, and the course
-    about which tangents are found would go to and fro. A rough window would be blind on one side.
+    The mean time of a window's events then differs from the window's middle, so that the course
+    about which tangents are found would oscillate. A short rough window would be blind on one side.
     """
     if not any(map(len, views.alone.blind_us)):
         return views
@@ -65,8 +65,8 @@ def tangents_under(
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
     """Find and pair the tangents of both views at even times (n,) [s] of camera 1's clock.
 
-    The events near each view's outline, given back, may be those of an earlier call with
-    parameters like these.
+    The events near each view's outline are returned too; `near` may be those of an earlier call
+    with similar parameters.
     """
     rig, rules = views.rig, views.rules.tangency
     clocks_s = times_s, views.on_clock_2(times_s, parameters.t_d_s)
@@ -82,7 +82,7 @@ def tangents_under(
 
 
 def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
-    """Give both motions, without a line that holds the object; SsacError for a track of points."""
+    """Return both motions without lines that hold the object; SsacError for a track of points."""
     one, other = views.motion1, views.motion2
     if not (isinstance(one, ObjectMotion) and isinstance(other, ObjectMotion)):
         raise SsacError(
@@ -99,7 +99,7 @@ def tangent_pairs(
     config: TangencyRules,
 ) -> WeighedPairs:
     """Pair the tangents of each side, sampled `t_d_s` apart at n instants, where both are valid."""
-    # Their weights are the inverse of the error that the blur of both outlines lets one expect.
+    # Weights are the inverse of the error that is expected from the blur of both outlines.
     if not config.apart:
         view1, view2 = [_midway(*view1)], [_midway(*view2)]
     parts = []
@@ -143,12 +143,12 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     """Time offset and relative pose from epipolar tangents, or the offset alone of a known pose.
 
     The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
-    for the tangents: where `joint` refuses, they are tried from the search that it started from,
-    and before that from both steps by the centres of its silhouettes, if the object is large.
+    for the tangents: where `joint` refuses, they are tried from the search that it started from.
+    If the object is large, search and `joint` are first repeated with its silhouettes' centres.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
-    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one. The
-    start is of `joint_from`; `n_samples` and `d_avg_px` are of the pairs of tangents.
+    Last, pairs of one point of a rigid body join the tangents', where both silhouettes show one.
+    The start is of `joint_from`; `n_samples` and `d_avg_px` are of all these pairs.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     start = replace(start, method=name, start=start)
@@ -166,7 +166,7 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
-    """Refine what `joint_from` found of positions by tangents, or of these where it refuses."""
+    """Refine by tangents `joint_from`'s estimate of positions, or where it refuses the search's."""
     assert start.start is not None
     search, rules = start.start.start, views.rules.verdict
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
@@ -179,7 +179,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
         # The refinement of this search was refused for its covariance.
         settled = Choice(positions, refine).settled(search)
         found = certain(refine_tangents(settled, views), rules)
-        if found.status != Status.OK:  # what fits poorly is not to be relied upon in part
+        if found.status != Status.OK:  # a poor fit is not reliable even in part
             return found if found.status == Status.POOR_FIT else start
         strays_s = _strays_s(start, found, views)
         return widened(start, strays_s**2) if strays_s > 0.0 else with_body(found, views)
@@ -194,13 +194,13 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
 
 
 def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
-    """How far the tangents are from a start that is against them, else 0; either may be wrong."""
+    """Difference [s] of offsets, if the start contradicts the tangents (either may err); else 0."""
     strays_s = abs(found.t_d_s - start.t_d_s)
     return strays_s if strays_s > views.rules.tangency.max_sigmas * start.t_d_std_s else 0.0
 
 
 def _sees_few(found: Estimate, views: TwoViews) -> bool:
-    """Whether so few tangents are seen that one view's may be of other parts than the other's."""
+    """Whether so few tangents are seen that the views may show different parts of the object."""
     n_times = len(tangent_times(views, found.t_d_s)) if found.status == Status.OK else 0
     return found.n_samples < views.rules.tangency.few_seen * 2.0 * n_times
 
@@ -208,7 +208,7 @@ def _sees_few(found: Estimate, views: TwoViews) -> bool:
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
     """Join tangents with the pairs of one point of a rigid body, where both views show one.
 
-    Where the body contradicts what was found, deviations become as wide as the contradiction.
+    Where the body contradicts the tangents, their estimate stands, widened by the difference.
     """
     rules = views.rules.tangency
     if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
@@ -220,7 +220,7 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
     joined = certain(joined, views.rules.verdict)
     if joined.status != Status.OK or joined.R is None or joined.t is None:
         return replace(found, without_body=f"with the body it were {joined.status}")
-    # Of t_d [s] and the pose [rad], and its length in deviations of the tangents.
+    # Change of t_d [s] and the pose [rad]; `apart` is its length in the tangents' deviations.
     change = np.append(joined.t_d_s - found.t_d_s, pose_step(found.R, found.t, joined.R, joined.t))
     covariance, apart = found.covariance, float(abs(change[0]) / found.t_d_std_s)
     if covariance is not None:
@@ -233,7 +233,7 @@ def with_body(found: Estimate, views: TwoViews) -> Estimate:
 
 
 def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
-    """Find tangents and refine offset and pose by turns, of a start that is "ok", as `refine`."""
+    """Find tangents and refine offset and pose in turn; a start that is not "ok" is kept."""
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     found = _OfTangents(start, for_blind(views)).estimate(start.R, start.t)
@@ -241,13 +241,13 @@ def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
         return found
     if is_in_front(found, views):
         return found
-    # -t fits as well: a start far off may lead to the one that puts all behind the cameras.
+    # -t fits as well: a start far off may lead to the t that puts all behind the cameras.
     opposite = _OfTangents(start, for_blind(views)).estimate(found.R, -found.t)
     return opposite if is_in_front(opposite, views) else found
 
 
 class _OfTangents(Refinement):
-    """Pairs of tangents, found anew as long as the parameters move far; and of a body's point."""
+    """Pairs of tangents and of a body's point; outlines are found anew after large changes."""
 
     def __init__(
         self, start: Estimate, views: TwoViews, body: tuple[PointMotion, PointMotion] | None = None
@@ -258,15 +258,15 @@ class _OfTangents(Refinement):
         self.max_rounds, self.size_px = rules.max_rounds, views.object_px
         self.turn, self.last_turn = rules.wider_cauchy, rules.cauchy
         self.solving = {"max_steps": rules.steps, "last_step": 0.0}
-        # What both sides' errors have in common pushes both tangents outward, in a free flight with
-        # no net effect on the offset. What hangs from a line swings before cameras that see the
-        # same side of it all along: there an outline that is off by a constant is taken for another
-        # pose, and for another offset with it. The fit leaves nothing of that to be seen, so that
-        # no deviation may be the smaller for it (`docs/uncertainty.md`).
+        # Errors common to both sides push both tangents outward, which has no net effect on the
+        # offset in a free flight. An object on a line swings before cameras that see the same side
+        # of it all along: there a constant error of the outline changes the pose, and the offset
+        # with it. No residual shows this, so that common errors may not reduce a variance
+        # (`docs/uncertainty.md`).
         self.lessens = all(getattr(motion, "bare", None) is None for motion in views.motions)
         self.times_s = tangent_times(views, start.t_d_s)
         self.near: list[list[OutlineEvents]] | None = None
-        self.is_far = True  # as the start may be
+        self.is_far = True  # the start may be far off
 
     def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
         near = None if self.is_far else self.near
@@ -309,12 +309,12 @@ class _OfTangents(Refinement):
             self.allowance.learn(problem, last.found.parameters)
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Give what errors that last all along do to the residuals: (n, 1 or 2), 13 more of a body.
+        """Return the residuals' changes by lasting errors: (n, 1 or 2), 13 more with a body.
 
-        Outlines are off, where the pose is free, by as many pixels in both views, as sensors that
-        are alike see them. That is another angle of the planes in the view that is nearer, and
-        where which one is changes, a pose takes it away; errors in proportion to the image's size
-        cancel. Where the pose is known, which cannot take them away: upper, or lower, tangents.
+        With a free pose, outlines are off by the same number of pixels in both views, as seen by
+        similar sensors. The angles of the planes then differ between a near and a far view, and as
+        the nearer view changes, a pose compensates; errors in proportion to the image's size
+        cancel. A known pose cannot compensate: all upper, or all lower, tangents are off.
         """
         pairs, rules = residuals.problem.pairs, self.rules.tangency
         of_body = np.zeros(len(pairs.times_s), bool) if pairs.kinds is None else pairs.kinds == 1
@@ -335,7 +335,7 @@ class _OfTangents(Refinement):
         return np.asarray(pairs.weights[:, None] * errors)
 
     def _of_body(self, residuals: Residuals) -> Array:
-        """Give the changes (n, 13) by errors of the body's shape, and of when its images are."""
+        """Return the changes (n, 13) by errors of the body's shape and of its images' times."""
         rules, v2 = self.rules.tangency, residuals.problem.pairs.v2_px_s
         bias = np.array([rules.body_slope, rules.body_slope, rules.body_offset])
         points = residuals.F, residuals.p1_px, residuals.p2_px
@@ -344,7 +344,7 @@ class _OfTangents(Refinement):
         return np.column_stack([errors, sampson_derivative(*points, ahead)])
 
     def _is_near(self, last: Round, factor: float) -> bool:
-        """Whether a round's changes are at most `factor` times the last ones."""
+        """Whether a round's changes are at most `factor` times those of a settled solution."""
         before, after, rules = last.before, last.found.parameters, self.rules.joint
         turn = np.linalg.norm(after.R - before.R) + np.linalg.norm(after.t - before.t)
         return bool(

@@ -1,4 +1,4 @@
-"""Whether an offset, a fit or a covariance is to be relied upon, and what to say where not."""
+"""Checks whether an offset, a fit or a covariance is reliable, and the reasons where not."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from ssac.track.observation import Observation
 
 
 def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:
-    """Report the offset that a search found, or why there is none to be trusted."""
+    """Report the offset that a search found, or why there is no reliable one."""
     low, high = views.config.offsets_s
     where = f"offset between {low:g} and {high:g} s"
     status, reason = Status.OK, ""
@@ -62,10 +62,10 @@ _OF_SEARCH = ("n_samples", "d_avg_px", "candidates_s", "costs")
 
 
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
-    """Give the reason why there is no reliable offset, without the pose and clock that were found.
+    """Return the estimate as refused, without the offset, pose and clock that were found.
 
-    F and the cost curve stay, for drawings of what was compared. An ambiguous offset stays when the
-    cost curve has other single valleys, whose offsets go to `alternatives_s`.
+    F and the cost curve stay, for plots of what was compared. An ambiguous offset stays too if
+    other valleys were `found` beside the first, whose offsets go to `alternatives_s`.
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
@@ -82,12 +82,12 @@ def doubt(
     against_intrinsics: float = 0.0,
     misfit: str = "",
 ) -> str:
-    """Say what is not ordinary in a fit's last step; empty when all is.
+    """Say what is unusual in the last step of a fit; empty where nothing is.
 
-    Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
-    few others not far beyond. A second moving thing pulls the positions away for a while: then
-    those others lie far out, or all do. Distances (n,) are weighed; what speaks against the
-    intrinsics, and how they misfit, is said by `ssac.fit.intrinsics`.
+    With one object, most pairs lie within a small part of its size from their epipolar lines, and
+    the few others not far beyond. A second moving thing pulls the positions away for a while: then
+    those others lie far out, or all pairs do. Distances (n,) are weighted; the evidence against the
+    intrinsics, and the `misfit`, are those of `ssac.fit.intrinsics`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -112,7 +112,7 @@ def doubt(
 
 
 def jumped(estimate: Estimate, jump: ClockJump) -> Estimate:
-    """Refuse an estimate as camera 2's clock jumps."""
+    """Refuse an estimate because camera 2's clock jumps."""
     is_sure = np.isfinite(jump.size_std_s)
     sigma = f" (1 sigma {1e3 * jump.size_std_s:.1f} ms)" if is_sure else ""
     reason = (
@@ -130,7 +130,7 @@ def is_spread(distances_px: Array, object_px: float, rules: VerdictRules) -> boo
 
 
 def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
-    """Refuse a refined estimate that fits poorly, or that its covariance says is open."""
+    """Refuse a refined estimate that fits poorly, or whose offset or pose is too uncertain."""
     if estimate.status != Status.OK:
         return estimate
     if estimate.doubt:
@@ -170,7 +170,7 @@ def _in_words(direction: Array, t: Array) -> str:
     parts = []
     for words, vector in (("R about", turn), ("t along", shift)):
         length = np.linalg.norm(vector)
-        if length > 0.1:  # of 1, else not worth its words
+        if length > 0.1:  # of 1; smaller parts are left out
             parts.append(f"{words} ({', '.join(f'{x:.2f}' for x in vector / length + 0.0)})")
     return " with ".join(parts)
 
@@ -179,7 +179,7 @@ def quantum_s(camera: Observation) -> float:
     """Step [s] to which a camera's times were rounded: 10 or 1 ms, or 0."""
     if camera.track is not None:
         return time_quantum_s(camera.track.times_s)
-    some_us = camera.events["t"][:1000]  # of which one is off a coarse grid, or all are on it
+    some_us = camera.events["t"][:1000]  # one that is no whole ms rules out any step
     if len(some_us) == 0 or np.any(some_us % 1000):
         return 0.0
     return time_quantum_s(camera.events["t"] / US_PER_S)
@@ -188,14 +188,14 @@ def quantum_s(camera: Observation) -> float:
 def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
     """Widen the offset's deviation by what the rounding of times may shift it.
 
-    Times cut off below a step of q are late by q / 2 on average, rounded ones are not: +-1.96
-    deviations of an even distribution of width q hold both.
+    Times truncated to a step of q are off by q / 2 on average, rounded ones are not: +-1.96
+    deviations of a uniform distribution of width q cover both.
     """
     return widened(estimate, sum(step_s**2 for step_s in quanta_s) / 12.0)
 
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:
-    """Take all deviations of an estimate for so many times what it says."""
+    """Multiply all deviations of an estimate by a factor."""
     of_all, of_clock = estimate.covariance, estimate.clock_covariance
     return replace(
         estimate,
@@ -209,7 +209,7 @@ def scaled(estimate: Estimate, factor: float) -> Estimate:
 
 
 def widened(estimate: Estimate, hidden: float) -> Estimate:
-    """Widen the offset's deviation by an error of its own, of this variance [s^2]."""
+    """Widen the offset's deviation by an independent error of this variance [s^2]."""
     if hidden == 0.0 or not np.isfinite(estimate.t_d_std_s):
         return estimate
     covariance = estimate.covariance
