@@ -1,1 +1,1 @@
-"""The search for the time offset of least cost, and what two tracks cannot tell."""
+"""The search for the time offset of least cost, and what two tracks leave undetermined."""

@@ -1,10 +1,10 @@
-"""The offsets, of all there are, at which two object motions may show one path.
+"""The search over all time offsets for those at which two object motions may show one path.
 
-For recordings of which nothing is known but that they overlap. Every offset that leaves enough
-common time is tried on a grid whose step follows from the paths' speed, with an F fitted at each;
-the best few are refined, and so is the rate of camera 2's clock where it is in question. The cost
-of an offset is its `relative_cost`, times by how many times less common path it leaves
-than the most that any offset does: a short piece of path fits many another by chance.
+It serves recordings of which nothing is known but that they overlap. Every offset that leaves
+enough common path is tried, on a grid whose step follows from the paths' speed, with an F fitted at
+each; the best few are refined, and so is the rate of camera 2's clock where it is in question. The
+cost of an offset is its `relative_cost`, times the ratio of the longest common path at any offset
+to that at this one: a short piece of path fits many others by chance.
 """
 
 from collections.abc import Callable
@@ -28,22 +28,22 @@ Progress = Callable[[float], None]  # called with the share that is done
 class Grid(NamedTuple):
     """A track sampled at whole steps of time."""
 
-    first: int  # steps from time zero
+    first: int  # time of the first sample, in steps
     p_px: Array  # (n, 2)
     valid: Mask  # (n,)
-    least_px: float = 0.0  # that it moves between samples that count
+    least_px: float = 0.0  # least motion between samples that count
 
 
 @numba.njit(cache=True)
 def costs_at_lags(
     one: Grid, other: Grid, lags: IntArray, n_pairs: int, least_pairs: int, iterations: int
 ) -> tuple[Array, IntArray]:
-    """Cost (m,) of pairing sample i of track 1 with sample i + lag of track 2, and pairs (m,).
+    """Costs (m,) of pairing sample i of track 1 with i + lag of track 2, and numbers of pairs (m,).
 
-    The cost is the median Sampson distance from the F that fits best, over the least of both paths'
-    deviations: what an F explains of any two paths whatever is the width of the thinner one. NaN
-    below `least_pairs`. An object at rest says nothing, so that a sample counts only when both
-    images have moved by `least_px` since the last one that did.
+    The cost is the median Sampson distance from the best F, over the width of the thinner path:
+    some F fits any two paths whatever to within that width. NaN below `least_pairs` pairs. An
+    object at rest tells nothing of the offset, so a sample counts only if both images have moved by
+    `least_px` since the last sample that counted.
     """
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
     chosen = np.empty(len(one.valid), np.int64)
@@ -64,7 +64,7 @@ def costs_at_lags(
 
 @numba.njit(cache=True)
 def moving_pairs(one: Grid, other: Grid, lag: int, chosen: IntArray) -> int:
-    """Fill in the samples of track 1 that count beside those a lag later; give their number."""
+    """Write to `chosen` the samples of track 1 whose pairs at a lag count; return their number."""
     count = 0
     x1 = y1 = x2 = y2 = 1e12
     for i in range(max(0, -lag), min(len(one.valid), len(other.valid) - lag)):
@@ -83,7 +83,7 @@ def moving_pairs(one: Grid, other: Grid, lag: int, chosen: IntArray) -> int:
 
 @numba.njit(cache=True)
 def relative_cost(p1_px: Array, p2_px: Array, iterations: int) -> float:
-    """Median distance from the F that fits pairs (n, 2) best, over the thinner path's deviation."""
+    """Median Sampson distance of pairs (n, 2) from their best F, over the thinner path's width."""
     width_px = min(width_of(p1_px), width_of(p2_px))
     if not width_px > 0.0:
         return np.nan
@@ -106,12 +106,12 @@ class Guess:
 
     t_d_s: float  # at t_ref
     t_ref_s: float  # camera 1's clock: the middle of the common time
-    rate: float  # camera 2's clock runs so many times as fast
+    rate: float  # of camera 2's clock over camera 1's
     cost: float
 
     @property
     def skew_ppm(self) -> float:
-        """By which camera 2's clock runs fast."""
+        """Skew of camera 2's clock [ppm], positive if it runs fast."""
         return 1e6 * (self.rate - 1.0)
 
     def at(self, time_s: float) -> float:
@@ -125,7 +125,7 @@ class AllOffsets:
 
     candidates_s: Array  # (m,) offsets tried, ascending, at the best rate
     costs: Array  # (m,) NaN where too little common path is left
-    guesses: list[Guess]  # the best first; each further than some steps from the others
+    guesses: list[Guess]  # the best first; more than `apart_steps` steps from each other
     step_s: float
 
 
@@ -138,12 +138,12 @@ def search_all_offsets(
     progress: Progress | None = None,
     spans_s: tuple[Interval, Interval] | None = None,
 ) -> AllOffsets:
-    """Try every offset that leaves enough common path, in time linear in their number.
+    """Try every offset that leaves enough common path, and fit F to a limited number of its pairs.
 
-    Rates of camera 2's clock, by camera 1's, are tried in steps that move the ends of the common
-    time by a few steps of the offset; a guess may be refined away from its rate by a share, the
-    freedom. Progress is called now and then with the share that is done. Of both paths all is
-    compared, or the spans that are given, each on its camera's clock.
+    Rates of camera 2's clock over camera 1's are tried in steps that move the ends of the common
+    time by a few steps of the offset. Refinement may change a guess's rate by the share
+    `rate_freedom`, or by half a step of the rates if that is more. `progress` is called repeatedly
+    with the share that is done. `spans_s` limits each path, on its camera's clock.
     """
     motions, spans_s = (motion1, motion2), spans_s or (motion1.span_s, motion2.span_s)
     step_s = min(_step_s(*path, rules) for path in zip(motions, spans_s, strict=True))
@@ -164,7 +164,7 @@ def search_all_offsets(
     found = search.guessed([search.scan(rate, *few, (k, n_scans)) for k, rate in enumerate(rates)])
     if not found.guesses:
         return found
-    # The curve at the best rate, with all pairs.
+    # Scan the best rate again, with the ordinary step and number of pairs.
     fine_s = wide_s / rules.rate_scan_step
     fine = _Search(*motions, spans_s, rules, fine_s, freedom, progress)
     rate, last = found.guesses[0].rate, (len(rates), n_scans)
@@ -173,7 +173,7 @@ def search_all_offsets(
 
 
 def _step_s(motion: Motion, span_s: Interval, rules: AllOffsetsRules) -> float:
-    """Step of the offset [s] in which a path goes a share of its width; inf of none."""
+    """Step of the offset [s] in which a path moves by a share of its width; inf if unknown."""
     start_s, end_s = span_s
     if not end_s > start_s:
         return np.inf
@@ -195,27 +195,27 @@ class _Scan:
     """Costs at all lags, for one rate of camera 2's clock."""
 
     rate: float
-    lags: IntArray  # (m,) of the grids' indices
-    shift: int  # to be added to a lag for steps of time
-    costs: Array  # (m,) for comparison: the less common path, the more
-    most: int  # samples that count, at the best of the lags
+    lags: IntArray  # (m,) index in grid 2 less index in grid 1
+    shift: int  # added to a lag, it gives steps of time
+    costs: Array  # (m,) weighted: the less common path, the higher
+    most: int  # largest number of pairs at any lag
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Both paths on grids of one step, at any rate of camera 2's clock."""
+    """The search over all lags, with both paths on grids of one step."""
 
     motion1: Motion
     motion2: Motion
     spans_s: tuple[Interval, Interval]
     rules: AllOffsetsRules
     step_s: float
-    freedom: float  # share by which a guess's rate may be from that of its scan
+    freedom: float  # share by which a guess's rate may differ from its scan's
     progress: Progress | None
 
     @cached_property
     def one(self) -> Grid:
-        """Camera 1's path."""
+        """Camera 1's path on its grid."""
         return self._grid(self.motion1, self.spans_s[0])
 
     def _grid(self, motion: Motion, span_s: Interval, rate: float = 1.0) -> Grid:
@@ -229,7 +229,7 @@ class _Search:
         return Grid(first, positions, track.valid, self.rules.moved * extent_px)
 
     def scan(self, rate: float, pairs: int, iterations: int, part: tuple[int, int]) -> _Scan:
-        """Find the costs of all lags at which the paths overlap: the k-th of n scans."""
+        """Compute the costs of all lags at which the paths overlap; `part` (k, n): scan k of n."""
         one, least = self.one, self.rules.least_pairs
         other = self._grid(self.motion2, self.spans_s[1], rate)
         lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
@@ -248,14 +248,14 @@ class _Search:
         return _Scan(rate, lags, other.first - one.first, weighed, most)
 
     def shown(self, scan: _Scan) -> AllOffsets:
-        """Give a scan's offsets, at the middle of camera 1's recording, and no guess."""
+        """Return a scan's costs by offset at the middle of camera 1's path, without guesses."""
         middle_s = self.step_s * (self.one.first + 0.5 * len(self.one.valid))
         lags_s = self.step_s * (scan.lags + scan.shift).astype(np.float64)
         offsets_s = np.asarray(scan.rate * (middle_s + lags_s) - middle_s)
         return AllOffsets(offsets_s, scan.costs, [], self.step_s)
 
     def guessed(self, scans: list[_Scan]) -> AllOffsets:
-        """Refine the least minima of all scans, and sort them; those near each other are one."""
+        """Refine the least minima of all scans; keep the best of any near each other, sorted."""
         most, rules = max(scan.most for scan in scans), self.rules
         starts = sorted(
             (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
@@ -285,7 +285,7 @@ class _Search:
         return replace(self.shown(scans[0]), guesses=apart)
 
     def _refined(self, lag: int, scan: _Scan, most: int) -> Guess | None:
-        """Refine an offset, and the rate where it is free, by ever shorter steps."""
+        """Refine the offset of a lag, and the rate where it is free, by compass search."""
         rules, step_s, one, freedom = self.rules, self.step_s, self.one, self.freedom
         chosen = np.empty(len(one.valid), np.int64)
         other = self._grid(self.motion2, self.spans_s[1], scan.rate)
@@ -324,7 +324,7 @@ class _Search:
 def _compass(
     cost: Callable[[float, float], float], start: tuple[float, float], steps: tuple[float, float]
 ) -> tuple[float, tuple[float, float]]:
-    """Least cost along two axes, by steps to and fro that are halved where none leads down."""
+    """Minimise a cost of offset and rate by steps along both axes, halved where none helps."""
     best, (offset_s, rate) = cost(*start), start
     step_s, step = steps
     while step_s > 1e-3:

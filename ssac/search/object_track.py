@@ -23,18 +23,18 @@ class ShapedTrack:
 
     track: PointTrack
     spreads_px2: Array | None
-    """(n, 3) second moments xx, xy, yy of the silhouettes whose centres the points are; NaN where
-    one is a mean of events; None where all are."""
+    """(n, 3) second moments xx, xy, yy of the silhouettes whose centres are the points. NaN where a
+    point is the mean of its events instead; None if all points are."""
     images: Images | None = None  # at each point; None where there are no silhouettes
 
     def delayed(self, shift_us: int) -> "ShapedTrack":
-        """As if the camera's clock had shown `shift_us` [us] more."""
+        """Return the track as if the camera's clock had shown `shift_us` [us] more."""
         times_s = self.track.times_s + 1e-6 * shift_us
         return replace(self, track=replace(self.track, times_s=times_s))
 
 
 def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
-    """Follow a body of two views as `shaped_track_of_events` does, once; None: noise has left."""
+    """Return `shaped_track_of_events`, cached, for two views; None if noise is removed for good."""
     rules = config.rules
     seen = replace(rules, track=replace(rules.track, step_s=rules.body.seen_step_s))
     config = replace(config, rules=seen)
@@ -49,10 +49,10 @@ def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
 
 
 def track_of_events(clean: Clean, config: Config) -> PointTrack:
-    """Follow the object through the events of one camera, whose windows the config has.
+    """Follow the object through the events of one camera, in time windows as the config says.
 
-    A point is where a window holds enough events, and few of them on the border: in the image as it
-    is, distorted. SsacError if the events show no object anywhere.
+    There is a point wherever a window holds enough events, few of them on the border. Points are in
+    the distorted image. SsacError if no window shows an object.
     """
     points, sharp = _followed(clean, config)
     return PointTrack(
@@ -61,7 +61,7 @@ def track_of_events(clean: Clean, config: Config) -> PointTrack:
 
 
 def things_seen(clean: Clean, rules: ObjectRules) -> int:
-    """Count the things that move at a time before a camera, whose events are denoised; else 1."""
+    """Count the objects that a camera sees at a time; 1 if its events are not denoised."""
     if not clean.denoised or not seem_several(clean.events, clean.camera, rules):
         return 1
     found = objects_of(clean.events, clean.camera, rules)
@@ -69,7 +69,7 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
 
 
 def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> ShapedTrack:
-    """Follow the centre of its area, where the events tell it, or else their mean."""
+    """Follow the object's centre of area where its silhouette is known, else its events' mean."""
     points, sharp = _followed(clean, config)
     rules, times_s, sizes_px = config.rules.track, sharp.times_s, sharp.sizes_px
     sigmas, given = _sigmas_px(sharp, rules.mean_sizes, config), (times_s, sharp.positions_px)
@@ -83,7 +83,7 @@ def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> Sh
 
 
 def _followed(clean: Clean, config: Config) -> tuple[Array, SharpTrack]:
-    """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
+    """Return the distorted points (n, 2) that lie in the image, and the samples they come from."""
     motion, camera = motion_of(clean, config.windows), clean.camera
     seen = seen_of(motion, config.rules.track.step_s)
     times_s = seen.spread(int(np.count_nonzero(seen.valid)))

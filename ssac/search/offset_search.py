@@ -1,8 +1,8 @@
-"""The search for the offset of least cost, and what its curve and the views cannot tell.
+"""The search for the time offset of least cost, and refusals where curve or views leave it open.
 
-What an estimate is judged by is in units of the object's own image and motion, so that it holds for
-any resolution, speed and size. `docs/refusal.md` has the figures of ordinary simulated flights, and
-of those that leave something open.
+The limits for an estimate are in units of the object's own image and motion, so that they hold for
+any resolution, speed and size. `docs/refusal.md` has the values of ordinary simulated flights, and
+of flights that leave something undetermined.
 """
 
 from collections.abc import Callable
@@ -21,9 +21,9 @@ from ssac.search.two_views import Pairs, TwoViews
 from ssac.search.view import View, local_minima
 from ssac.track.clean import Clean
 
-Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
+Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where undefined
 
-FINE_STEP_S = 0.001  # of the paper's exhaustive search, on whose grid all candidates lie
+FINE_STEP_S = 0.001  # step of the paper's exhaustive search; all candidates lie on its grid
 _FIT_STEPS = 6  # fine steps on each side of the minimum, to which a parabola is fitted
 
 
@@ -33,7 +33,7 @@ class OffsetSearch:
 
     candidates_s: Array  # (M,) [s], ascending
     d_avg_px: Array  # (M,) [px], NaN where too few samples are valid
-    t_d_s: float  # [s] offset of least d_avg, NaN without any
+    t_d_s: float  # [s] offset of least d_avg; NaN if no minimum is found
     at_bound: bool  # the least d_avg is at the first or last candidate: no minimum was enclosed
 
 
@@ -47,7 +47,7 @@ def mean_epipolar_distance(F: Array, pairs: Pairs, min_pairs: int) -> Array:
 def candidate_offsets(views: TwoViews) -> Array:
     """Offsets [s], 1 ms apart from the interval's lower bound, at which the recordings overlap.
 
-    Deviation: the paper says nothing of offsets near which little is left of the recordings. A
+    Deviation: the paper says nothing of offsets at which the recordings hardly overlap. A
     short stretch fits almost any F, so an offset is a candidate only when its overlap is at least
     half of the longest in the interval. Empty when no offset gives any overlap.
     """
@@ -63,7 +63,7 @@ def candidate_offsets(views: TwoViews) -> Array:
 def search_offsets(
     views: TwoViews, coarse_cost: Cost, cost: Cost, returns_s: Array | None = None
 ) -> OffsetSearch:
-    """Search the offsets of two views as the config asks for, exhaustively or coarse to fine."""
+    """Search the offsets of two views exhaustively or coarse to fine, as the config says."""
     candidates_s, rules = candidate_offsets(views), views.rules.search
     if views.config.exhaustive:
         return exhaustive_search(cost, candidates_s)
@@ -87,14 +87,14 @@ def coarse_to_fine_search(
     rules: SearchRules,
     returns_s: Array | None = None,
 ) -> OffsetSearch:
-    """Find what `exhaustive_search` finds from about a tenth of its candidates.
+    """Find the minimum of `exhaustive_search` from about a tenth of its candidates.
 
-    Every `coarsest` steps of 1 ms first, then every 5 ms around the three least local minima, both
-    with the coarse cost, which may be less robust; then every 1 ms around the least of all with the
-    cost itself. The other deep minima, and what a path's returns (k,) [s] lie from the best, are
-    followed to 1 ms with the coarse cost: they say whether the best has rivals (`valleys`).
+    The coarse cost, which may be less robust, is evaluated every `coarsest` steps of 1 ms, then
+    every 5 ms around the three least local minima; the cost itself every 1 ms around the least
+    value. The other deep minima, and the offsets a lag of `returns_s` (k,) [s] before or after the
+    best, are refined to 1 ms with the coarse cost: they tell if the best has rivals (`valleys`).
     """
-    middle, finest, close = 5, 1, 3  # fine steps; the last on each side of a rival
+    middle, finest, close = 5, 1, 3  # in fine steps; `close` is the reach on each side of a rival
     size = len(offsets_s)
     if size == 0:
         return OffsetSearch(offsets_s, offsets_s, np.nan, False)
@@ -109,7 +109,7 @@ def coarse_to_fine_search(
         d_avg_px[grid] = coarse_cost(offsets_s[grid])
         tried = np.union1d(tried, grid)
         known = grid[np.isfinite(d_avg_px[grid])]
-        known = known if len(known) else minima  # steps from these may reach no candidate
+        known = known if len(known) else minima  # the grid may hold no candidate
         best = known[[np.argmin(d_avg_px[known])]]
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
@@ -134,7 +134,7 @@ def coarse_to_fine_search(
 
 
 def _least_within(values: Array, centres: Indices, reach: int) -> Indices:
-    """Find the index of the least known value within the reach of each centre that has one."""
+    """Find the index of the least finite value within reach of each centre, if there is any."""
     found = []
     for centre in centres.tolist():
         start = max(centre - reach, 0)
@@ -145,16 +145,16 @@ def _least_within(values: Array, centres: Indices, reach: int) -> Indices:
 
 
 def _neighbourhood(centres: Indices, around: Indices, size: int) -> Indices:
-    """Collect the indices at the steps `around` any centre, ascending, from 0 up to the size."""
+    """Return the indices from 0 to size - 1, ascending, that lie at steps `around` any centre."""
     indices = np.unique(centres[:, None] + around)
     return np.asarray(indices[(indices >= 0) & (indices < size)])
 
 
 def _minimum(candidates_s: Array, d_avg_px: Array, eligible: Mask) -> OffsetSearch:
-    """Take the least of the eligible candidates, refined between candidates."""
-    # Deviation: the paper takes the best. Events that enter and leave the windows make d_avg jump
-    # by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola fitted
-    # within 6 ms. Its weights fall off towards both ends of a window centred on the minimum itself,
+    """Find the eligible candidate of least d_avg, and refine it between candidates."""
+    # Deviation: the paper takes the best candidate. Events that enter and leave the windows make
+    # d_avg jump by about 1e-3 px between offsets 10 us apart, so the minimum is that of a parabola
+    # fitted within 6 ms. Its weights fall off towards both ends of a window centred on the minimum,
     # so that the result does not depend on where the candidates lie.
     values = np.where(eligible & np.isfinite(d_avg_px), d_avg_px, np.inf)
     best = int(np.argmin(values))
@@ -185,18 +185,18 @@ class Valley:
 
     @property
     def length_s(self) -> float:
-        """From the first to the last."""
+        """Length [s] from the first offset to the last."""
         return self.last_s - self.first_s
 
 
 def unusable(
     views: TwoViews, cleans: tuple[Clean, Clean], interval_s: Interval | None
 ) -> Refusal | None:
-    """Refuse what no search can use: an object at rest, clocks far apart, too few events."""
+    """Refuse views that no search can use: an object at rest, clocks far apart, too few events."""
     too_few = [
         _too_few(number, clean, views.config)
         for number, (clean, view) in enumerate(zip(cleans, views.alone.views, strict=True), start=1)
-        if view is None  # else there are windows that hold enough
+        if view is None  # else some windows hold enough
     ]
     apart = None
     (start1, end1), (start2, end2) = (one.span_s for one in cleans)
@@ -213,7 +213,7 @@ def unusable(
 
 
 def overlapping(cleans: tuple[Clean, Clean]) -> Interval:
-    """Give the offsets at which recordings have at least half of the shorter one in common."""
+    """Return the offsets [s] at which the overlap is at least half of the shorter recording."""
     (start1, end1), (start2, end2) = (one.span_s for one in cleans)
     half_s = 0.5 * min(end1 - start1, end2 - start2)
     return start2 - end1 + half_s, end2 - start1 - half_s
@@ -250,7 +250,7 @@ def _too_few(number: int, clean: Clean, config: Config) -> Refusal | None:
 
 
 def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refusal | None:
-    """Refuse an object that hardly leaves its own outline, in either view."""
+    """Refuse an object that moves little, compared with its own image, in either view."""
     for number, view in enumerate(views, start=1):
         if view is not None and view.extent_px <= rules.min_extent * view.size_px:
             return Refusal(
@@ -273,7 +273,7 @@ def too_little_motion(n_swings: float, least: float) -> Refusal | None:
 
 
 def no_match(distance_px: float, object_px: float, rules: SearchRules) -> Refusal | None:
-    """Refuse what fits the two views no better than two unrelated paths."""
+    """Refuse an estimate that fits the two views no better than two unrelated paths."""
     reason = (
         f"at the best offset the two paths still disagree by {distance_px:.1f} px, and the object's"
         f" rms size is {object_px:.1f} px: the cameras see different objects, a clock jumps or runs"
@@ -295,15 +295,15 @@ def open_fundamental(p1_px: Array, p2_px: Array, rules: SearchRules) -> Refusal 
 
 
 def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules) -> list[Valley]:
-    """Pieces of low cost of a curve, that of `t_d_s`, the offset of least cost, first.
+    """Find the valleys of a cost curve; that of `t_d_s`, the offset of least cost, comes first.
 
-    The curve (M,) has ascending offsets [s]; NaN costs are left out.
+    The curve consists of M ascending offsets [s] and their costs; NaN costs are left out.
     """
     known = np.isfinite(costs)
     candidates_s, costs = candidates_s[known], costs[known]
     here = int(np.argmin(np.abs(candidates_s - t_d_s)))
     low = np.flatnonzero(costs < rules.rival * costs[here])
-    if len(low) == 0:  # at a cost of zero
+    if len(low) == 0:  # the least cost is zero
         return [Valley(t_d_s, t_d_s, t_d_s)]
     ends = np.flatnonzero(np.diff(candidates_s[low]) > rules.one_valley_s)
     found = []
@@ -315,7 +315,7 @@ def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules)
 
 
 def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
-    """Refuse a cost curve with several valleys as deep as each other, or one without an end."""
+    """Refuse a cost curve with several valleys, or with one longer than `longest_s`."""
     first, *others = found
     alternatives_s = sorted(valley.least_s for valley in others)
     reason = (
@@ -329,7 +329,7 @@ def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
 
 
 def other_offsets(alternatives_s: list[float]) -> str:
-    """Say which other offsets fit as well."""
+    """Give the reason for refusal that names the other offsets [s]."""
     named = ", ".join(f"{offset_s:.3f}" for offset_s in alternatives_s[:5])
     more = f" and {len(alternatives_s) - 5} more" if len(alternatives_s) > 5 else ""
     return (

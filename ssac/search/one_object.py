@@ -1,12 +1,12 @@
-"""The one object that all cameras saw, of several things that moved before them.
+"""The choice of the one object that all cameras saw, where several moved before them.
 
-Nearly all recordings show one thing that moves, and pass as they are. Where a camera sees several,
-those pieces of paths are taken that one epipolar geometry and one offset explain in both views.
+Nearly all recordings show one moving object, and pass unchanged. Where a camera sees several, those
+pieces of paths are taken that one epipolar geometry and one offset explain in both views.
 
-All offsets are tried, as far as whole bins of time go. At each, two pieces of one view and those of
-the other at that time give an F: a piece alone fits too many. Of these hypotheses, an offset and an
-F, the best are what the most pieces bear out, whichever object each is of. Each is then judged by
-the time in which pieces that may be one object's do.
+All offsets are tried in steps of a bin. At each, a piece of one view and a piece of the other, seen
+at the same time, are a pair. Each of the longest pairs, and every two of them, give an F: one pair
+often fits many. The hypotheses, each an offset and an F, are first ranked by how long any pieces
+bear them out, and the best then by how long pieces that may be one object's do.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,24 +32,24 @@ from ssac.track.objects import Objects, Piece, objects_of, seem_several
 class Match:
     """An offset and an F, and the pieces of both views that bear them out."""
 
-    lag: int  # half bins: t_d, as if both recordings started at a time
+    lag: int  # t_d in half bins, as if both recordings started together
     F: Array  # (3, 3)
     pairs: tuple[tuple[int, int], ...]  # numbers of pieces of camera 1 and of camera 2
-    common: int  # half bins in which they do
-    n_events: float  # of them all
-    distance_px: float  # their median
+    common: int  # half bins that the pairs have in common
+    n_events: float  # of all these pieces
+    distance_px: float  # median Sampson distance from F
 
 
 SCALE_PX = 100.0  # that makes coordinates about 1, as Hartley's normalisation does
 
 
 class _Matching:
-    """The pieces of both views on grids of half bins, and what they have in common."""
+    """The search for pieces of both views that are one object's, on grids of half bins."""
 
     def __init__(
         self, pieces: tuple[list[Piece], list[Piece]], interval_s: Interval | None, rules: Rules
     ) -> None:
-        """Take pieces, and the offsets [s] searched, as if both recordings started at a time."""
+        """Take pieces, and the offsets [s] searched, as if both recordings started together."""
         self.pieces, self.interval_s = pieces, interval_s
         self.rules, self.match = rules, rules.match
         self.grids = [[self._sampled(piece) for piece in of_view] for of_view in pieces]
@@ -58,7 +58,7 @@ class _Matching:
         """Find offsets at which pieces of both views are of one object, the best first."""
         found = [match for lag, F in self._starts() if (match := self._grown(lag, F)) is not None]
         left = sorted(found, key=lambda match: -match.common)
-        kept: list[Match] = []  # one for each offset: of two that bear out the same, that of more
+        kept: list[Match] = []  # one for each offset: of equally good ones, that of most events
         while left:
             same = [one for one in left if abs(one.lag - left[0].lag) <= self.match.same_lag]
             often = [one for one in same if one.common >= self.match.as_often * same[0].common]
@@ -77,7 +77,7 @@ class _Matching:
         return len(seen1 & {k - lag for k in seen2})
 
     def _sampled(self, piece: Piece) -> Grid:
-        """Sample a piece at half bins, in between by the mean of its neighbours."""
+        """Sample a piece at half bins: between bins it is the mean of its neighbours."""
         positions = piece.positions_px
         sampled = np.empty((2 * len(positions) - 1, 2))
         sampled[::2], sampled[1::2] = positions, 0.5 * (positions[:-1] + positions[1:])
@@ -96,7 +96,7 @@ class _Matching:
         return kept[: self.match.starts]
 
     def _lags(self) -> range:
-        """Offsets [half bins] at which pieces of both views are seen at a time."""
+        """Offsets [half bins] to try, at which pieces of both views may overlap in time."""
         spans = [
             (min(one.first for one in grids), max(one.first + len(one.valid) for one in grids))
             for grids in self.grids
@@ -111,7 +111,7 @@ class _Matching:
         return range(first, last + 1, self.match.lag_step)
 
     def _start(self, lag: int) -> tuple[float, int, Array] | None:
-        """Give the F of two pairs of pieces that most bear out at an offset, and how long."""
+        """Find the F that pieces bear out for longest at an offset: (-length, lag, F)."""
         match = self.match
         together = sorted(self._together(lag), key=lambda pair: -len(pair[2]))[: match.max_pairs]
         lengths = np.array([len(p1) for _, _, p1, _ in together])
@@ -133,7 +133,7 @@ class _Matching:
         return -best, lag, T2.T @ F.reshape(3, 3) @ T1
 
     def _together(self, lag: int) -> Iterator[tuple[int, int, Array, Array]]:
-        """Give the pieces seen at a time at an offset, by number, and where (n, 2) each then is."""
+        """Yield the pairs that overlap at an offset: their numbers, and common positions (n, 2)."""
         firsts = np.array([other.first for other in self.grids[1]]) - lag
         lasts = firsts + [len(other.valid) for other in self.grids[1]]
         for i, one in enumerate(self.grids[0]):
@@ -144,12 +144,12 @@ class _Matching:
                     yield i, j, p1, p2
 
     def _near_px(self, i: int, j: int) -> float:
-        """Distance from their epipolar lines of pieces of one object."""
+        """Largest distance from the epipolar lines at which a pair may be of one object."""
         size_px = float(np.hypot(self.pieces[0][i].size_px, self.pieces[1][j].size_px))
         return self.match.near_px + self.match.near_share * size_px
 
     def _grown(self, lag: int, F: Array) -> Match | None:
-        """Take the pieces that bear an offset and an F out, refine both with these, and again."""
+        """Find, in rounds, the pairs that bear out an offset and an F, and refine both by them."""
         best: Match | None = None
         for _ in range(self.match.rounds):
             most_px = np.inf
@@ -175,13 +175,13 @@ class _Matching:
         return best
 
     def _positions(self, pairs: Sequence[tuple[int, int]], lag: int) -> tuple[Array, Array]:
-        """Join what the pieces of pairs have in common at an offset: positions (n, 2) of both."""
+        """Join the common positions (n, 2) of all pairs at an offset, in both views."""
         of_each = [_common(self.grids[0][i], self.grids[1][j], lag) for i, j in pairs]
         p1, p2 = (np.concatenate(side) for side in zip(*of_each, strict=True))
         return p1, p2
 
     def _consistent(self, lag: int, F: Array, most_px: float) -> list[tuple[int, int]]:
-        """Pairs of pieces near their epipolar lines, the longest first, one at a time."""
+        """Choose pairs near their epipolar lines, the longest first, that may be of one object."""
         order, (pieces1, pieces2) = [], self.pieces
         is_near: dict[tuple[int, int], bool] = {}
         for i, j, p1, p2 in self._together(lag):
@@ -200,7 +200,7 @@ class _Matching:
         return taken
 
     def _refined(self, match: Match) -> Match:
-        """Shift the offset by half bins as long as its pieces then fit better."""
+        """Find the offset within two half bins that fits the pairs best, with an F for each."""
         best = match
         for lag in range(match.lag - 2, match.lag + 3):
             p1, p2 = self._positions(match.pairs, lag)
@@ -213,14 +213,14 @@ class _Matching:
         return best
 
 
-@numba.njit(cache=True, error_model="numpy")  # no line at an epipole
+@numba.njit(cache=True, error_model="numpy")  # both epipoles give 0 / 0
 def _most_borne_out(
     Fs: Array, x1: Array, x2: Array, limits: Array, lengths: IntArray, places: IntArray
 ) -> tuple[float, Array]:
-    """Give how long pieces of camera 1, by place, bear out the best of Fs (m, 9), and that F."""
+    """Return how long pieces of camera 1 bear out the best of Fs (m, 9), and that F."""
     n_pairs, n_points = x1.shape[:2]
     distances, best, best_F = np.empty(n_points), 0.0, np.zeros(9)
-    longest = np.empty(int(np.max(places)) + 1)  # at a time a piece is one of the other view's
+    longest = np.empty(int(np.max(places)) + 1)  # at a time, a piece matches one of the other view
     for F in Fs:
         longest[:] = 0.0
         for k in range(n_pairs):
@@ -248,7 +248,7 @@ def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
 
 
 def _centred(p_px: Array) -> tuple[Array, Array]:
-    """Centre and scale points (..., 2); and the transform (3, 3) that does so."""
+    """Centre and scale points (..., 2); return the transform (3, 3) that does so, too."""
     centre = np.mean(p_px.reshape(-1, 2), axis=0)
     T = np.diag([1.0 / SCALE_PX, 1.0 / SCALE_PX, 1.0])
     T[:2, 2] = -centre / SCALE_PX
@@ -256,12 +256,12 @@ def _centred(p_px: Array) -> tuple[Array, Array]:
 
 
 def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:
-    """Median distance of pairs (n, 2) from F."""
+    """Median Sampson distance [px] of pairs (n, 2) from F."""
     return float(np.median(np.abs(sampson_distance(F, p1_px, p2_px))))
 
 
 def _meet(one: Piece, other: Piece) -> bool:
-    """Whether two pieces are seen at a time."""
+    """Whether two pieces of one view overlap in time."""
     return one.first < other.last and other.first < one.last
 
 
@@ -270,10 +270,10 @@ def one_object(
 ) -> tuple[tuple[Clean, ...], Refusal | None]:
     """Choose the object that all cameras saw, where one of them saw several things at a time.
 
-    Each camera is given with the events of that object alone, or as it is where all saw one thing;
-    and why no object is told from the others, if so. Of cameras with noise in their events nothing
-    is chosen: that hangs together too. Of more than two, those two that bear out one object for
-    longest say which it is; a further one that saw nothing of it has no events left.
+    Each camera is returned with the events of that object alone, or unchanged if all saw one thing;
+    with a refusal if no object is told from the others. A camera with noise in its events does not
+    count as seeing several, as noise forms clusters too. Of more than two cameras, the two that
+    share one object for longest decide; another that saw nothing of it has no events left.
     """
     seem = [one.denoised and seem_several(one.events, one.camera, rules.objects) for one in cleans]
     if not any(seem) or any(not one.has_track and len(one.events) == 0 for one in cleans):
@@ -290,7 +290,7 @@ def one_object(
 def _chosen(
     objects: list[Objects], interval_s: Interval | None, rules: Rules
 ) -> list[set[int]] | Refusal:
-    """Give the numbers of each camera's pieces that are one object's."""
+    """Return the numbers of each camera's pieces that are of the one object, or a refusal."""
     matched, refusals = dict[tuple[int, int], Match](), list[Refusal]()
     for a, b in combinations(range(len(objects)), 2):
         found = _matched(objects[a], objects[b], interval_s, rules)
@@ -315,7 +315,7 @@ def _chosen(
 
 
 def _objects(seen: Clean, rules: Rules) -> Objects:
-    """Follow the things that one camera saw; a track of points is that of one object."""
+    """Follow the objects that one camera saw; a track of points counts as one object."""
     if seen.track is None:
         return objects_of(seen.events, seen.camera, rules.objects)
     start_s, end_s = seen.span_s
@@ -332,8 +332,8 @@ def _objects(seen: Clean, rules: Rules) -> Objects:
 def _matched(
     one: Objects, other: Objects, interval_s: Interval | None, rules: Rules
 ) -> Match | Refusal:
-    """Match the pieces of two views at the offset that they bear out best."""
-    start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
+    """Match the pieces of two views at the offset that they bear out best, or refuse them."""
+    start_s = 1e-6 * (other.start_us - one.start_us)  # camera 2's start less camera 1's
     if interval_s is not None:
         interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)
     matching = _Matching((one.pieces, other.pieces), interval_s, rules)
@@ -366,14 +366,14 @@ def _matched(
 
 
 def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
-    """Keep the events of some pieces alone."""
+    """Keep only the events of the numbered pieces."""
     if seen.track is not None:
         return seen
     pieces = [objects.pieces[i] for i in sorted(numbers)]
     chosen, far_us = objects.events_of(pieces), 2**61  # before and after all times
     ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
     ends_us = objects.start_us + objects.bin_us * ends
-    # Between pieces, in order of time, and beyond all.
+    # Gaps lie between pieces, in order of time, and before and after all.
     gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
     return replace(
         seen,

@@ -1,8 +1,8 @@
-"""Where a method is to begin with two cameras of which no offset is known, or why it is not.
+"""The start of a method where no offset is known: a rough offset and clock rate, or a refusal.
 
-The search over all offsets (`ssac.search.all_offsets`) finds offset and rate of camera 2's clock
-roughly. A method then sees camera 2 on a clock without that rate, and searches near that offset;
-its answer is put on camera 2's own clock again. Where no offset matches, that clock may jump.
+The search over all offsets (`ssac.search.all_offsets`) finds a rough offset and rate of camera 2's
+clock. A method is then given camera 2 on a clock without that rate, and searches near that offset;
+its estimate is converted back to camera 2's own clock. If no offset matches, that clock may jump.
 """
 
 from dataclasses import dataclass, replace
@@ -27,11 +27,11 @@ from ssac.track.motion import PointMotion
 
 @dataclass(frozen=True)
 class Start:
-    """Where a method is to begin, or why none is to."""
+    """The start of a method's search, or why there is none."""
 
     found: AllOffsets
     refusal: Refusal | None = None
-    tried_rates: bool = False  # so the guess's is about right
+    tried_rates: bool = False  # then the guess's rate is about right
 
     @property
     def guess(self) -> Guess:
@@ -40,7 +40,7 @@ class Start:
 
     @property
     def has_guess(self) -> bool:
-        """Whether there is any."""
+        """Whether the search found any offset."""
         return len(self.found.guesses) > 0
 
     @property
@@ -62,7 +62,7 @@ class Start:
         return said
 
     def config(self, config: Config) -> Config:
-        """Search near the guess."""
+        """Return the config with a search near the guess."""
         rules, t_d_s = config.rules.all_offsets, self.guess.t_d_s
         reach_s = max(rules.reach_s, rules.reach_steps * self.found.step_s)
         return replace(
@@ -76,7 +76,7 @@ class Start:
         )
 
     def as_seen(self, cam2: Clean) -> Clean:
-        """Camera 2 on a clock that runs as camera 1's, by the guess, and is right at the anchor."""
+        """Return camera 2 on a clock without the guess's rate, equal to its own at the anchor."""
         rate, anchor_s = self.guess.rate, self.anchor_s
         if rate == 1.0:
             return cam2
@@ -95,9 +95,9 @@ class Start:
         return replace(cam2, events=events, track=track, gaps_us=gaps_us, recorded=recorded)
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
-        """Put an estimate on camera 2's own clock.
+        """Convert an estimate to camera 2's own clock.
 
-        Camera 2 as seen shows t'; its own clock shows anchor + rate (t' - anchor).
+        When the clock of `as_seen` shows t', camera 2's own shows anchor + rate (t' - anchor).
         """
         rate, anchor_s = self.guess.rate, self.anchor_s
         if rate == 1.0:
@@ -138,14 +138,14 @@ class Start:
 def start_of(
     views: TwoViews, rates: Interval | None = None, progress: Progress | None = None
 ) -> Start:
-    """Search all offsets, and all rates of camera 2's clock in a range, for where to begin."""
+    """Search all offsets, and camera 2's clock rates in a range, for the start of a method."""
     rules = views.rules.all_offsets
     has_track = any(isinstance(motion, PointMotion) for motion in views.motions)
     freedom = rules.rate_freedom if has_track else 0.0
     found = search_all_offsets(*views.motions, rules, rates or (1.0, 1.0), freedom, progress)
     refusal = _refusal(found, views.alone.repeats, rules)
     if refusal is not None and found.guesses:
-        swings = [  # how often the object goes to and fro at the most, however much is common
+        swings = [  # upper bounds: to and fro in whole recordings, however much is common
             0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
             for motion, view in zip(views.motions, views.alone.views, strict=True)
         ]
@@ -164,7 +164,7 @@ _LITTLE_SEEN = (
 
 
 def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusal | None:
-    """Refuse what no offset of all explains, or several do, as of a path that repeats itself."""
+    """Refuse views that no offset explains, or several do, as where the path repeats itself."""
     if not found.guesses:
         reason = (
             "at no offset do both cameras see the object move for long enough to compare its paths:"
@@ -172,7 +172,7 @@ def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusa
         )
         return Refusal(Status.TOO_FEW_SAMPLES, reason)
     best = found.guesses[0]
-    # What is nearer is within reach of the search that follows, which tells it from the best.
+    # Nearer guesses are within reach of the search that follows, which tells them from the best.
     far = [one for one in found.guesses[1:] if abs(one.t_d_s - best.t_d_s) > rules.reach_s]
     rivals = [one for one in far if one.cost < rules.rival * best.cost]
     if best.cost > rules.max_cost and not (rivals and repeats):
@@ -198,10 +198,10 @@ def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusa
 def large_jump(views: TwoViews) -> ClockJump | None:
     """Find a jump of camera 2's clock that is too large for any one offset to match the views.
 
-    A jump leaves one half of the shorter recording alone. Its offset and F are found first; then
-    the instant, and the offsets on both sides, that fit best with this F, and again with F of the
-    longer part. It is a jump where the other part, to which F was not fitted, agrees with F as the
-    path of one object does, at an offset of its own only.
+    A jump spares one half of the shorter recording. Offset and F of that half are found first; then
+    the instant, and the offsets before and after it, that fit best with this F; then the same with
+    F of the longer part. A jump is accepted if the shorter part, to which F was not fitted, agrees
+    with F as the path of one object does, at one offset of its own only.
     """
     if views.alone.repeats or views.alone.are_straight:
         return None
@@ -223,7 +223,7 @@ def large_jump(views: TwoViews) -> ClockJump | None:
 
 
 def _half_without_jump(views: TwoViews) -> tuple[float, Interval] | None:
-    """Give the offset of the half that matches better, and when that is on camera 1's clock."""
+    """Return the offset [s] of the half that matches better, and its span on camera 1's clock."""
     spans_s, rules = [motion.span_s for motion in views.motions], views.rules.all_offsets
     shorter = int(np.ptp(spans_s[1]) < np.ptp(spans_s[0]))
     first_s, last_s = spans_s[shorter]
@@ -239,9 +239,9 @@ def _half_without_jump(views: TwoViews) -> tuple[float, Interval] | None:
 
 
 def _best_jump(views: TwoViews, own: PairsAt, last: ClockJump) -> tuple[ClockJump, float, bool]:
-    """Find the jump that fits best with F of one part's pairs, near the last one and at large."""
-    # Given beside are the cost of the other, shorter part, infinite where another offset rivals,
-    # and whether the longer part is the first.
+    """Find the jump that best fits F of one part's pairs, near the last one and in a wide range."""
+    # Also returned are the cost of the shorter part, infinite if another offset fits it about as
+    # well, and whether the longer part is the first.
     rules, (p1_px, p2_px) = views.rules.clock, own.points_px
     F = reweighted_fundamental(p1_px, p2_px)
     width_px = min(width_of(p1_px), width_of(p2_px))
@@ -257,7 +257,7 @@ def _best_jump(views: TwoViews, own: PairsAt, last: ClockJump) -> tuple[ClockJum
     distances_px = np.where(track2.valid, distances_px, width_px)
     losses = np.cumsum(np.log1p((distances_px / scale_px) ** 2), axis=1)
     before, after = losses[:, :-1], losses[:, -1:] - losses[:, :-1]
-    k = int(np.argmin(np.min(before, axis=0) + np.min(after, axis=0)))  # the last one before
+    k = int(np.argmin(np.min(before, axis=0) + np.min(after, axis=0)))  # last sample before it
     is_first = 2 * k > len(times_s)
     costs = np.median(distances_px[:, k + 1 :] if is_first else distances_px[:, : k + 1], axis=1)
     before_s, after_s = (float(offsets_s[np.argmin(sums[:, k])]) for sums in (before, after))

@@ -1,4 +1,4 @@
-"""The object's positions in two views, paired by a clock, and what their shutters make of them.
+"""The object's positions in two views, paired by a clock, and how rolling shutters shift them.
 
 The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
 p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
@@ -67,32 +67,32 @@ class PairsAt:
 
 @dataclass(frozen=True, eq=False)
 class TwoViews:
-    """What two cameras saw of one object, and what a method is told beside it.
+    """One object's motions in two cameras, with the rig and the config that a method is given.
 
-    Which time of camera 2 belongs to one of camera 1 is said in `on_clock_2`, and nowhere else.
+    Only `on_clock_2` converts times of camera 1's clock to camera 2's.
     """
 
-    motion1: Motion  # of the object in camera 1, on its own clock
-    motion2: Motion  # and in camera 2, on its own
-    rig: Rig  # both cameras, with the extrinsics where a method may see them
-    config: Config  # with nothing left open
+    motion1: Motion  # of the object in camera 1, on camera 1's clock
+    motion2: Motion  # of the object in camera 2, on camera 2's clock
+    rig: Rig  # both cameras; with extrinsics only where a method may use them
+    config: Config  # resolved: see `Config.resolved`
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
-    clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
+    clock: Clock = field(default_factory=Clock)  # of camera 2, without the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
-    cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # of which the motions are
+    cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # that the motions are of
 
     def under(self, clock: Clock) -> "TwoViews":
-        """Return the same views with the skew and the strays of a clock, and any offset."""
+        """Return the same views with the skew and the strays of a clock, but not its offset."""
         if clock.is_delay and self.clock.is_delay:
             return self
         return replace(self, clock=replace(clock, t_d_s=0.0))
 
     def with_pose(self, rig: Rig) -> "TwoViews":
-        """Return the same views where the extrinsics of the rig hold."""
+        """Return the same views with a rig whose extrinsics hold."""
         return replace(self, rig=rig, pose_is_known=True)
 
     def on_clock_2(self, times_s: Array, t_d_s: Array | float) -> Array:
-        """Give what camera 2's clock shows at times of camera 1's, with an offset that is tried."""
+        """Return what camera 2's clock shows [s] at times of camera 1's, at the offset `t_d_s`."""
         shown_s = np.asarray(times_s + t_d_s)
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
@@ -103,7 +103,7 @@ class TwoViews:
             object.__setattr__(self, "alone", alone)
 
     def by(self, **rules: Any) -> "TwoViews":
-        """Return the same views where some of a stage's rules are others."""
+        """Return the same views with the rules of the named stages replaced."""
         return replace(self, config=replace(self.config, rules=replace(self.rules, **rules)))
 
     @property
@@ -113,12 +113,12 @@ class TwoViews:
 
     @property
     def rules(self) -> Rules:
-        """By which each stage decides, as the config says."""
+        """The config's rules, by which each stage decides."""
         return self.config.rules
 
     @property
     def object_px(self) -> float:
-        """Rms size of the object's images, both together; NaN where a view has none."""
+        """Root sum of squares of both views' rms object sizes [px]; NaN if a view has none."""
         one, other = (np.nan if view is None else view.size_px for view in self.alone.views)
         return float(np.hypot(one, other))
 
@@ -135,8 +135,8 @@ class TwoViews:
     def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
         """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,).
 
-        Deviation: where both cameras see the object in less than half of that, evenly over the time
-        in which they do. The paper's samples would then nearly all fail.
+        Deviation: where both cameras see the object in less than half of the overlap, the times are
+        spread evenly over that part. The paper's samples would nearly all be invalid.
         """
         n = n_samples or self.config.n_samples
         start, end = self.overlap_s(t_d_s)
@@ -167,24 +167,24 @@ class TwoViews:
         return self.motion1.sharp_at(times_s), self.motion2.sharp_at(on_clock_2)
 
     def size_px_at(self, pairs: PairsAt) -> float:
-        """Rms size of the object's images at some of the pairs, both views together."""
+        """As `object_px`, but from the object's images at some of the pairs."""
         size1 = size_px(self.motion1, pairs.times_s)
         size2 = size_px(self.motion2, self.on_clock_2(pairs.times_s, pairs.t_d_s))
         return float(np.hypot(size1, size2))
 
     def swings(self, pairs: PairsAt) -> float:
-        """How many times the object goes to and fro while both see it, the fewer of two views."""
+        """How many times the object goes to and fro while both see it: the lesser of two counts."""
         if len(pairs) < 2:
             return 0.0
-        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # of known path
-        some_s = pairs.times_s[:: -(-len(pairs) // 100)]  # enough for its speed
+        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # gaps cut to 0.5 s
+        some_s = pairs.times_s[:: -(-len(pairs) // 100)]  # enough for the rms speed
         velocities_1 = self.motion1.velocities_at(some_s)
         velocities_2 = self.motion2.velocities_at(self.on_clock_2(some_s, pairs.t_d_s))
         swings_1 = duration_s * swing_hz(pairs.p1_px, velocities_1)
         return min(swings_1, duration_s * swing_hz(pairs.p2_px, velocities_2))
 
     def lasting_share(self, t_d_s: float, n_samples: int | None = None) -> float:
-        """Share, up to 1, of an object's bias that stays: attitudes change where it turns back."""
+        """Share, up to 1, of an object's bias that remains: its attitude changes at each swing."""
         n_swings = self.swings(self.pairs_at(t_d_s, n_samples))
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
 
@@ -192,9 +192,9 @@ class TwoViews:
 def views_of(
     one: Clean, other: Clean, rig: Rig, config: Config, pose_is_known: bool = False
 ) -> TwoViews:
-    """Sum up both views of what two cameras recorded, without noise: the paper's Sec. IV-A.
+    """Prepare the views of two cameras' denoised recordings for sampling: the paper's Sec. IV-A.
 
-    The rig's extrinsics count only where `pose_is_known`: then only the offset is in question.
+    The rig's extrinsics are used only if `pose_is_known`: then only the offset is in question.
     """
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
     return TwoViews(*motions, rig, config, pose_is_known, cleans=(one, other))
@@ -202,20 +202,20 @@ def views_of(
 
 @dataclass(frozen=True, eq=False)
 class Shutters:
-    """The k cameras, of both, whose readout is to be estimated.
+    """The cameras, k of the two, whose readout is to be estimated.
 
-    A frame's row is exposed its share of the height, times the readout, later than the frame's
-    time. So a readout that is longer by d shows the object at a time t where it was d times that
-    share before: its image moves by that much against its velocity.
+    A row is exposed later than the frame's time by the readout times the row's share of the height.
+    A readout that is longer by d thus puts the object at a time t where it was d times that share
+    before: its image moves by that much against its velocity.
     """
 
-    cameras: tuple[int, ...]  # 0 and 1
-    expected_s: Array  # (k,) readouts beforehand
-    deviations_s: Array  # (k,) of what is expected
-    longest_s: Array  # (k,) a frame's length
+    cameras: tuple[int, ...]  # of 0 and 1
+    expected_s: Array  # (k,) means of the readouts' prior
+    deviations_s: Array  # (k,) standard deviations of that prior
+    longest_s: Array  # (k,) frame intervals, MAX_READOUT_S at most
 
     def views(self, views: TwoViews, readouts_s: Array) -> TwoViews:
-        """Give both views with points where readouts (k,) [s] put them in time."""
+        """Return both views with the points at the times that readouts (k,) [s] give them."""
         motions = [*views.motions]
         for k, readout_s in zip(self.cameras, readouts_s.tolist(), strict=True):
             motion = motions[k]
@@ -229,9 +229,9 @@ class Shutters:
         return np.where(np.isnan(found_s), self.expected_s, found_s)
 
     def moves(self, views: TwoViews, times_s: tuple[Array, Array]) -> list[tuple[Array, Array]]:
-        """Give how both images move (n, 2) [px] by a longer readout of each, per second of it.
+        """Return the derivatives (n, 2) [px/s] of both images' positions by each of k readouts.
 
-        Views are as they are read out, and sampled at times, each (n,) on its camera's clock.
+        The views have their readouts set, and are sampled at times (n,) of each camera's clock.
         """
         found = []
         for k in self.cameras:
@@ -244,12 +244,12 @@ class Shutters:
         return found
 
     def within(self, readouts_s: Array) -> Array:
-        """Give the readouts (k,) [s] that are nearest to some, from none to a frame's length."""
+        """Clip readouts (k,) [s] to the range from 0 to `longest_s`."""
         return np.asarray(np.clip(readouts_s, 0.0, self.longest_s))
 
 
 def shutters_of(views: TwoViews) -> Shutters:
-    """Say which cameras' readouts are to be estimated: of tracks, and not exactly known."""
+    """Select the cameras whose readouts are to be estimated: with tracks, and not exactly known."""
     found, cameras = [], (views.rig.cam1, views.rig.cam2)
     for k, motion in enumerate(views.motions):
         if cameras[k].readout_std_s > 0.0 and isinstance(motion, PointMotion):

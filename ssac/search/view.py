@@ -1,12 +1,12 @@
-"""What one camera alone says of the object: how far, how straight and how often it goes.
+"""One camera's view of the object: its path's extent and straightness, and when it is seen.
 
-When it is seen: where that is most of the time, sample times are even and some of them fail. In
-flights spread over an hour nearly all would, so that the times at which it is seen are sampled.
+If the object is seen most of the time, sample times are even and some samples are invalid. In
+flights spread over an hour nearly all would be, so only times at which it is seen are sampled.
 
-And when the camera was blind: one that takes frames beside events, as a DAVIS does, loses all
-events while it reads a frame out. A recording need not say so, but its events do: busy times are
-cut off and begin anew, for spans that are all as long, in one rhythm. An object that comes to rest,
-or whose edges cross rows of pixels all at once, is silent too, but never so evenly.
+A camera that takes frames beside events, as a DAVIS does, is blind while it reads a frame out: all
+events are lost. A recording need not say so, but its events do: they stop and begin again abruptly,
+with silences of equal length in one rhythm. An object that comes to rest, or whose edges cross rows
+of pixels all at once, makes silences too, but never such regular ones.
 """
 
 from dataclasses import dataclass
@@ -31,33 +31,33 @@ class Seen:
 
     @property
     def share(self) -> float:
-        """Of the time."""
+        """Share of the time in which the object is seen."""
         return float(np.mean(self.valid)) if len(self.valid) else 0.0
 
     def spread(self, n: int, some: slice = slice(None), more: Mask | bool = True) -> Array:
-        """Spread n times [s] evenly over those steps, of some, where it is seen, and more holds."""
+        """Spread n times [s] evenly over the steps in slice `some` that are valid and in `more`."""
         steps = np.flatnonzero(self.valid[some] & more)
         if len(steps) == 0:
             return np.empty(0)
-        places = (np.arange(n) + 0.5) * len(steps) / n  # in steps of those valid
+        places = (np.arange(n) + 0.5) * len(steps) / n  # in valid steps
         whole, first = places.astype(np.intp), some.start or 0
         return np.asarray(self.start_s + self.step_s * (first + steps[whole] + places - whole))
 
 
 def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
-    """Look at a motion from end to end, in steps of its own choice where none is given."""
+    """Tell in which steps of a motion's span it is valid; by default, choose the step."""
     start_s, end_s = motion.span_s
     length_s = max(end_s - start_s, 0.0) if np.isfinite(end_s - start_s) else 0.0
-    if step_s is None:  # as finely as events' windows tell
+    if step_s is None:  # windows of events tell no finer
         step_s = max(0.02, length_s / 50_000)
     times_s = start_s + step_s * (np.arange(int(length_s / step_s), dtype=np.float64) + 0.5)
     return Seen(start_s, step_s, motion.at(times_s).valid)
 
 
 def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
-    """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
+    """Spread n times [s] of camera 1's clock over the time in which both cameras see the object.
 
-    None where they do so in `even_share` of the time that both record, or more, or never.
+    None if that time is zero, or at least `even_share` of the time in which both record.
     """
     shift = round((one.start_s + t_d_s - other.start_s) / one.step_s)  # other = one + shift
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
@@ -71,9 +71,9 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
 
 
 def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
-    """Find the readouts of frames (g, 2) [us], ascending, among the sorted times of events.
+    """Find the spans (g, 2) [us], ascending, of frame readouts from the sorted times of events.
 
-    There are none unless most of the events lie in one rhythm of silences.
+    There are none unless most of the events lie between silences of one rhythm.
     """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
@@ -101,7 +101,7 @@ def blind_spans(times_us: IntArray, rules: BlindRules) -> IntArray:
 
 
 def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
-    """Find the silences (g, 2) of busy times, too long for chance."""
+    """Find the silences (g, 2) [us] too long for chance at the rate of events beside them."""
     at = np.flatnonzero(np.diff(times_us) >= rules.shortest_us)
     starts_us, ends_us = times_us[at], times_us[at + 1]
     before = at + 1 - np.searchsorted(times_us, starts_us - rules.beside_us)
@@ -113,7 +113,7 @@ def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
 
 
 def _filled(spans_us: IntArray, beats: Indices) -> IntArray:
-    """Add the spans between those that are several beats apart."""
+    """Fill in the missing spans between neighbours that are several beats apart."""
     parts = [spans_us]
     for k in np.flatnonzero(beats > 1):
         step_us = (spans_us[k + 1] - spans_us[k]) / beats[k]
@@ -126,7 +126,7 @@ def _filled(spans_us: IntArray, beats: Indices) -> IntArray:
 def _cut(times_us: IntArray, spans_us: IntArray, period_us: float, rules: BlindRules) -> bool:
     """Whether next to no events lie within the spans, and most lie between them."""
     lengths_us = np.diff(spans_us)[:, 0]
-    middles_us = spans_us + np.outer(lengths_us // 10, [1, -1])  # ends are not to the microsecond
+    middles_us = spans_us + np.outer(lengths_us // 10, [1, -1])  # without the inexact ends
     inside = np.sum(np.diff(np.searchsorted(times_us, middles_us)))
     within = np.diff(spans_us[:, 0]) <= 1.5 * period_us
     bounds = np.searchsorted(times_us, spans_us[:, 0])
@@ -141,16 +141,16 @@ class View:
 
     extent_px: float  # rms distance of the track from its middle
     width_px: float  # deviation across the track's longest direction, robust
-    length_px: float  # deviation along it
+    length_px: float  # deviation along that direction
     size_px: float  # rms size of the object's image
-    swing_hz: float  # how often it goes to and fro, on average: see `swing_hz`
-    middle_px: Array  # (2,)
+    swing_hz: float  # mean rate of going to and fro: see `swing_hz`
+    middle_px: Array  # (2,) mean position
     direction: Array  # (2,) unit vector along the track's longest direction
-    is_straight: bool  # nothing but noise and the object's turning leads off a straight line
+    is_straight: bool  # only noise and the object's turning make it leave a straight line
 
 
 def view_of(motion: Motion, rules: ViewRules) -> View | None:
-    """Sum up a track; None when it has no two valid samples."""
+    """Summarise a motion; None if fewer than two of its samples are valid."""
     start_s, end_s = motion.span_s
     if not end_s > start_s:
         return None
@@ -182,8 +182,8 @@ def view_of(motion: Motion, rules: ViewRules) -> View | None:
 
 
 def size_px(motion: Motion, times_s: Array) -> float:
-    """Median rms size of the object's image over some of the times; NaN of none."""
-    some_s = times_s[:: max(1, len(times_s) // 16)]  # each takes a pass over its events
+    """Median rms size [px] of the object's image at some of the times; NaN if none is known."""
+    some_s = times_s[:: max(1, len(times_s) // 16)]  # each takes a pass over its window's events
     sizes = motion.sharp_at(some_s).sizes_px
     sizes = sizes[np.isfinite(sizes)]
     return float(np.median(sizes)) if len(sizes) else np.nan
@@ -199,10 +199,10 @@ def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
 
 
 def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRules) -> Array:
-    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself."""
+    """Find the lags (k,) up to `longest_s` [s], ascending, after which a path repeats itself."""
     start_s, end_s = motion.span_s
-    n_samples = 60  # at which each lag is tried
-    step_s = max(0.002, (end_s - start_s) / 120_000)  # longer of a path of more than 4 minutes
+    n_samples = 60  # for each lag
+    step_s = max(0.002, (end_s - start_s) / 120_000)  # longer if a path lasts over 4 minutes
     n = int((end_s - start_s) / step_s) if end_s > start_s else 0
     if view is None or n < 4:
         return np.empty(0)
@@ -224,7 +224,7 @@ def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRu
 
 
 def local_minima(values: Array) -> Indices:
-    """Places of the local minima of values (n,), the least first; NaN is none."""
+    """Find the local minima of values (n,) as indices, the least first; NaN counts as infinite."""
     padded = np.pad(np.where(np.isfinite(values), values, np.inf), 1, constant_values=np.inf)
     places = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
     return places[np.argsort(values[places], kind="stable")]
@@ -232,22 +232,22 @@ def local_minima(values: Array) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class Alone:
-    """What each of two motions says on its own, found when it is asked for and once."""
+    """Properties of each of two motions on its own, computed on first use and cached."""
 
     motions: tuple[Motion, Motion]
-    longest_s: float  # of the lags in `returns_s`
+    longest_s: float  # largest lag in `returns_s`
     rules: ViewRules
     of_blind: BlindRules
 
     def is_like(self, other: "Alone") -> bool:
-        """Whether it is of the same very motions, up to the same lag, by the same rules."""
+        """Whether both have the identical motions, the same longest lag and the same rules."""
         same = all(one is two for one, two in zip(self.motions, other.motions, strict=True))
         mine, theirs = ((one.longest_s, one.rules, one.of_blind) for one in (self, other))
         return same and mine == theirs
 
     @cached_property
     def views(self) -> tuple[View | None, View | None]:
-        """Each view summed up; None without valid samples."""
+        """Summary of each view; None where fewer than two samples are valid."""
         return view_of(self.motions[0], self.rules), view_of(self.motions[1], self.rules)
 
     @property
@@ -262,12 +262,12 @@ class Alone:
 
     @cached_property
     def repeats(self) -> bool:
-        """Whether it does so after any lag."""
+        """Whether camera 1's path repeats itself after any lag."""
         return len(returns_s(self.motions[0], self.views[0], np.inf, self.rules)) > 0
 
     @cached_property
     def seen(self) -> tuple[Seen, Seen] | None:
-        """When each camera sees the object; None where both do so most of the time."""
+        """When each camera sees the object; None if both do most of the time, or one never does."""
         if any(motion.span_s[1] <= motion.span_s[0] for motion in self.motions):
             return None
         one, other = (seen_of(motion) for motion in self.motions)
@@ -278,7 +278,7 @@ class Alone:
 
     @cached_property
     def blind_us(self) -> list[IntArray]:
-        """When each camera was blind: spans (g, 2) [us] in its own clock."""
+        """Spans (g, 2) [us] in which each camera was blind, on its own clock."""
         return [
             blind_spans(one.times_us, self.of_blind) if isinstance(one, ObjectMotion) else no_gaps()
             for one in self.motions
