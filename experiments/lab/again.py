@@ -25,7 +25,7 @@ from ssac.errors import SsacError
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS
 
 ROUNDING = 1e-6
-"""Tolerance of a number where its last digit allows less, in its unit (ms, deg, px, ppm, none).
+"""Least tolerance of a measured number, in its own unit (ms, deg, px, ppm or none).
 
 The largest difference on sixteen recordings with other kernels, thread counts and packages
 (docs/testing.md) was 6e-8 ms, of albl's t_d; all others were 1.2e-10 at most. The tolerance matters
@@ -33,10 +33,10 @@ for small numbers such as t_d_error_ms, the difference of two nearly equal ones.
 """
 
 BY_BODY = 0.05
-"""Additional tolerance for a method with `needs_events`: in the number's unit plus as a share.
+"""Additional tolerance for a method with `needs_events`: BY_BODY (1 + |x|) for a number x.
 
-It finds the body by many comparisons, which rounding decides. With kernels of other processors 4
-of 17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, and a count by one.
+Such a method finds the body by many comparisons, which rounding may decide. With other processors'
+kernels 4 of 17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, a count by 1.
 """
 
 _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")

@@ -6,7 +6,7 @@ An entry's key is a digest of all parameters and of all code that makes the entr
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     recordings/<key>.sha256  checksums of its files; without them a recording does not count
     brightness/<key>.npz  the mean brightness of each frame of a recording
-    denoised/<key>.npz    the events of a recording that denoising leaves
+    denoised/<key>.npz    the events of a recording that denoising keeps
     runs/<ab>/<key>.json  one measured row, and its checksum
     damaged/              entries that do not agree with their checksums
 
@@ -49,7 +49,7 @@ ASIDE = "damaged"
 RECORDED = ("recordings", "brightness", "denoised")
 """Folders of recordings, and of arrays that are computed from them once for all methods."""
 
-# Code that makes each kind of entry: none of `experiments`, so that entries outlive its edits.
+# Code that makes each kind of entry: none is in `experiments`, so edits there keep all entries.
 RECORDING_CODE = ("sim.recording", "sim.storage")
 BRIGHTNESS_CODE = ("ssac.methods.correlations", "ssac.files.hdf5")
 DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
@@ -57,7 +57,7 @@ DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 CLAIM = ".claim"
 
 LAPSES_S = 120.0
-"""A lock untouched for this long lapses: a network disk's delay (NFS: 60 s) and a touch or two."""
+"""A lock untouched for this long [s] lapses: a network disk's delay (NFS: 60 s), 1 or 2 touches."""
 
 ASK_AGAIN_S = 1.0
 """Time [s] after which a process that finds a lock taken tries again."""
@@ -71,8 +71,8 @@ class Cache:
     """Recordings and rows in one folder, which processes of several hosts may share."""
 
     folder: Path = DEFAULT_FOLDER
-    simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
-    sound: set[Path] = field(default_factory=set, compare=False)  # recordings found whole
+    simulated: list[Path] = field(default_factory=list, compare=False)  # made by this object
+    sound: set[Path] = field(default_factory=set, compare=False)  # recordings found undamaged
 
     def recording_folder(self, config: SimConfig, seed: int) -> Path:
         """Return the folder of a recording, which is simulated first if it is not there yet.
@@ -99,9 +99,9 @@ class Cache:
         tell: Callable[[], Arrays],
         inputs: Any = None,
     ) -> Arrays:
-        """Return arrays of a recording by name, of a kind in RECORDED; `tell` makes absent ones.
+        """Return arrays of a recording by name; `tell` computes them if folder `kind` lacks them.
 
-        They are made once for all methods: reading all frames takes longer than most methods do,
+        They are computed once for all methods: reading all frames takes longer than most methods,
         and denoising, with reading the events, a quarter of the time of all methods together.
         """
         by = code_digest(*code), package_versions(SSAC_PACKAGES)
@@ -111,7 +111,7 @@ class Cache:
             try:
                 with np.load(path) as kept:  # the archive has a checksum of each array
                     return {name: kept[name] for name in names}
-            except Exception:  # of the archive, the array format or the content
+            except Exception:  # an error of the archive, the array format or the content
                 self._set_aside(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         told = tell()
@@ -175,7 +175,7 @@ class Cache:
         except Exception as error:
             if isinstance(error.__cause__, OSError):
                 raise WriteError(str(error)) from error
-            if not folder.exists():  # else another process, after our lock lapsed, made it
+            if not folder.exists():  # else another process made it after our lock lapsed
                 raise
 
     def _set_aside(self, path: Path) -> None:
@@ -219,7 +219,7 @@ def recording_key(config: SimConfig, seed: int) -> str:
 
 
 def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:
-    """Return the key of a row: of its recordings' keys, other inputs and code as of `code_of`."""
+    """Return a row's key: a digest of its recordings' keys, other inputs and code (`code_of`)."""
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 
 
@@ -250,7 +250,7 @@ def recording_bytes(config: SimConfig) -> int:
     return round(config.spline.duration_s * (2.0 * (frames + events) + truth))
 
 
-# --- Whether an entry is what was written ---
+# --- Checks that an entry is as it was written ---
 
 
 def save_sums(folder: Path) -> None:
@@ -298,7 +298,7 @@ _SEEN: dict[Path, SoftFileLease] = {}
 
 @contextmanager
 def claimed(path: Path) -> Iterator[bool]:
-    """Hold a lock, whose file ends with CLAIM, while the block runs; False when another has it."""
+    """Hold a lock, whose file ends with CLAIM, in a block; yield False if another holder has it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lease = _SEEN.pop(path, None) or SoftFileLease(
         path, lease_duration=LAPSES_S, timeout=0, thread_local=False

@@ -17,14 +17,14 @@ UNUSABLE = "unusable"
 """Status of a run on data that the method refuses with an SsacError."""
 
 Flight = tuple[SimConfig, int]
-"""What `simulate` takes: a configuration and a seed."""
+"""The arguments of `simulate`: a configuration and a seed."""
 
 Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class PlainCell:
-    """One run on no recording; its fields are its inputs, texts and numbers also its columns."""
+    """A run without a recording: its fields are its inputs, and texts and numbers are columns."""
 
     @property
     def recordings(self) -> tuple[Flight, ...]:
@@ -80,7 +80,7 @@ class FlightCell(PlainCell):
 
     @property
     def inputs(self) -> Any:
-        """All that the row depends on besides code and recording, which has no offset in it."""
+        """All that the row depends on besides code and recording; no recording holds the offset."""
         return self.sim.t_d_s, *super().inputs
 
 

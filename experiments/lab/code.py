@@ -3,7 +3,7 @@
 Nobody keeps a list that could miss a file: dependencies are found by following imports and names
 from the code that measures. Of `sim` and `ssac` whole modules count. Of `experiments` only the
 top-level definitions that are reached by name count, so that measure, summary and drawing of a
-study may share a file, and a change of a lock or a checksum makes no row anew.
+study may share a file, and a change of a lock or a checksum makes no row invalid.
 
 Modules and definitions that a string names, as lazy imports do, count like imports. So do the data
 files beside a module (shaders, tables). Comments, docstrings and annotations of functions do not
@@ -32,7 +32,7 @@ Use = tuple[str, str]
 """A module, and the name that is imported from it; "" for the whole module."""
 
 _ALWAYS = ""  # key of statements that count as soon as anything of their module does
-_NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files beside a module
+_NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files that are no data
 _HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
 """Decorators that register nothing elsewhere."""
 
@@ -119,7 +119,7 @@ class SourceTree:
                 yield source.imports[mentioned]
 
     def _named(self, words: Iterable[str]) -> Iterator[Use]:
-        """Yield the modules that strings "a.b.c" or "a.b.c:name" name; of a package all modules."""
+        """Yield the modules that strings "a.b.c" or "a.b.c:name" name: for a package, all in it."""
         for name in {text.partition(":")[0] for text in words if "." in text}:
             path = self._path(name)
             if path is not None:
@@ -248,7 +248,7 @@ def code_digest(*starts: str) -> str:
 
 @cache
 def package_versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Return versions by package; `pip install .` leaves out pyrender and its OpenGL."""
+    """Return versions, or "not installed": `pip install .` leaves out pyrender and its OpenGL."""
     versions = dict.fromkeys(packages, "not installed")
     for name in packages:
         with suppress(PackageNotFoundError):

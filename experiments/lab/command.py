@@ -1,6 +1,6 @@
 """The commands that run studies; their options are ALL_OPTIONS and the parameters of `cells`.
 
-Their checks and their messages at the end are the same for all of them.
+All commands share their checks and their final messages.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -176,7 +176,7 @@ def check_is_folder(out: Path) -> None:
 
 
 def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
-    """Return the same cells with another renderer, and with its check against OpenGL or without."""
+    """Return the same cells with another renderer, and its check against OpenGL on or off."""
 
     def drawn(sim: SimConfig) -> SimConfig:
         return replace(sim, render=replace(sim.render, renderer=renderer, check=check))

@@ -29,7 +29,7 @@ WAIT_FOR_WORKERS_S = 60.0
 """Time to wait for a scheduler's workers, which may be starting or restarting."""
 
 ANSWERS_WITHIN_S = 10.0
-"""Time without an answer after which no scheduler is taken to be there."""
+"""Time without an answer after which the scheduler is taken to be absent."""
 
 _LOOK_S = 5.0  # interval of the checks that a scheduler still has workers
 _SPAWN = get_context("spawn")
@@ -37,7 +37,7 @@ _SPAWN = get_context("spawn")
 Running = Future[Any]
 
 Job = Callable[[], Any]
-"""A job and its result can be pickled; it is a `functools.partial` of a function."""
+"""A `functools.partial` of a function; the job and its result can be pickled."""
 
 
 class DiedError(Exception):

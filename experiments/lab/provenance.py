@@ -69,7 +69,7 @@ def processor() -> str:
 def provenance(
     command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
 ) -> dict[str, Any]:
-    """Return the provenance of a result; `gl` is the OpenGL that rendered, None without."""
+    """Return the provenance of a result; `gl` is the OpenGL context, None where there is none."""
     return {
         "command": command,
         "commit": code_commit(),

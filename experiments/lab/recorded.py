@@ -54,7 +54,7 @@ class FlightTruth:
 
 
 def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
-    """Read a recording's ground truth, with the clock offset `t_d_s` if one was added since."""
+    """Read a recording's ground truth; `t_d_s`, if given, replaces the recorded clock offset."""
     path = folder / "truth.json"
     with readable(path, "the truth of a recording"):
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -82,7 +82,7 @@ def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
 
 
 class Pair(NamedTuple):
-    """The events of two cameras whose clocks agree; no frames."""
+    """The events of two cameras, without frames, and their rig."""
 
     cam1: Observation
     cam2: Observation
@@ -121,7 +121,7 @@ class Flown:
         return self.load(self.other_seed)
 
     def made(self, name: Hashable, make: Callable[[], Made]) -> Made:
-        """Make a result, or reuse the last one of this name: cells that share one are adjacent."""
+        """Return the last result if of this name, else make it; cells sharing it are adjacent."""
         if name not in self._made:
             self._made = {name: make()}
         made: Made = self._made[name]
@@ -137,7 +137,7 @@ def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]
         told: Arrays = {}
         for seen, (name, camera) in zip(load_pair(folder)[:2], cameras.items(), strict=True):
             one = clean(seen, camera, how, name)
-            assert one.clutter is not None  # since a recording is not denoised before
+            assert one.clutter is not None  # since no recording is denoised beforehand
             told[f"{name}_events"] = one.events
             told[f"{name}_clutter"] = np.array(astuple(one.clutter), dtype=np.float64)
             told[f"{name}_on_line"] = np.empty(0, bool) if one.on_line is None else one.on_line

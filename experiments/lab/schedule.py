@@ -2,7 +2,7 @@
 
 Cells that share a recording are one task: the recording is loaded once, and each row is cached at
 once. Runs that share a cache, on one host or several, share the work: each task is claimed before
-it begins, and a task that is claimed elsewhere comes last, when its rows are in the cache.
+it begins, and a task that is claimed elsewhere is tried again until its claim is released.
 """
 
 import hashlib
@@ -66,7 +66,7 @@ def keys_of(task: Task, measure: Measure) -> list[str]:
 
 
 def recordings_key(task: Task) -> str:
-    """Return a key of a task's recordings, or of its inputs if it has none; of no measure."""
+    """Return a key of a task's recordings, else of its cells' inputs; no measure enters it."""
     keys = " ".join(recording_key(*recording) for recording in task.recordings)
     keys = keys or repr([cell.inputs for cell in task.cells])
     return hashlib.sha256(keys.encode()).hexdigest()[:24]
@@ -109,8 +109,8 @@ def run_cells(
 ) -> Outcome:
     """Run all cells that the cache does not hold, and return the rows of all cells.
 
-    Rows depend neither on the number of workers nor on what was in the cache, nor on who else is
-    filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
+    Rows depend neither on the number of workers, nor on what was in the cache, nor on other runs
+    that fill it. A run that crashed is a row with its reason and is not kept: the next call tries
     it again. When a worker dies, a new one runs its task again, until `MAX_DEATHS` have died on it.
     """
     cache = Cache(cache.folder.resolve())  # absolute, for workers elsewhere

@@ -20,14 +20,14 @@ POSE_SCORES = (
     "t_1_normalised",
     "t_2_normalised",
 )
-"""Scores of a pose's errors against its covariance, by the angles of `ssac.geometry.pose`."""
+"""Scores of a pose's errors against its covariance, in the angles of `ssac.geometry.pose`."""
 
 
 @dataclass(frozen=True)
 class Truth:
     """The ground truth of an estimate: x2 = R x1 + t, and `t_cam2 = t_cam1 + t_d`."""
 
-    t_d_s: float  # at t_mid_s; NaN: there is no true offset, and any is wrong
+    t_d_s: float  # at t_mid_s; NaN: there is no true offset, and any estimate is wrong
     R: Array  # (3, 3)
     t: Array  # (3,) unit length
     skew_ppm: float = 0.0
@@ -51,7 +51,7 @@ class Score:
 def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str, Any]:
     """Return all columns of an estimate's scores, NaN for a quantity that it does not give.
 
-    Without `has_pose` those of the pose are left out: a pose that was given has no error.
+    Without `has_pose` the pose's columns are left out: a pose that was given has no error.
     """
     t_d_s = truth.t_d_of(estimate)
     errors = vars(score(estimate, t_d_s, truth.R, truth.t))
@@ -79,7 +79,7 @@ def kept(row_type: type, columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def _over(error: float, std: float) -> float:
-    """Return an error over its deviation; NaN if that is 0: the quantity was not estimated."""
+    """Divide an error by its deviation; NaN if this is 0, as for a quantity not estimated."""
     return error / std if std else np.nan
 
 

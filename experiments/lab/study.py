@@ -72,7 +72,7 @@ class Runs:
     digits: int = DIGITS
     took: tuple[str, ...] = ()  # columns of run times and the like, which never repeat exactly
     table: Callable[[pd.DataFrame, Results], pd.DataFrame] | None = None
-    """Makes the written table from all rows, where it has not one line per row; excludes shards."""
+    """Makes the written table from all rows, if it has not one line per row; rules out shards."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Made:
     # Takes Results, then the recordings' folders; returns None where there is to be no file. None:
     # the study's own command makes the file, from data that nobody else has.
     make: "Callable[..., pd.DataFrame | Figure | bytes | str | None] | None"
-    # Recordings that the file needs too, by the options of `cells`: verify has only its checksum.
+    # Options of `cells` -> recordings that the file needs too; verify checks only its checksum.
     recordings: Callable[..., tuple[Flight, ...]] | None = None
     config: Mapping[str, Any] | None = None  # for its provenance; None: the study's
 

@@ -134,7 +134,7 @@ def means_with_stds(means: pd.Series, stds: pd.Series, decimals: int) -> list[st
 
 
 def digits(value: float) -> str:
-    """Format two significant digits without an exponent; UNKNOWN where it is not finite."""
+    """Format a number to two significant digits without exponent; UNKNOWN if it is not finite."""
     if not np.isfinite(value):
         return UNKNOWN
     rounded = f"{value:.1e}"

@@ -35,8 +35,8 @@ from ssac.errors import SsacError
 _SHOWN = 5  # number of faults listed per finding
 _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
-_ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
-_ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
+_ROUNDING_MS = 1e-2  # to six digits: 5e-3 for an estimate above 1000 ms, less for its error
+_ROUNDING_PPM = 1e-3  # likewise, above 100 ppm
 _NOT_OF_CONFIG = ("study", SHARD, "options", "figure")
 _OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns on which a flight's recording does not depend
 
@@ -169,7 +169,7 @@ def _each(
 
 
 def between(name: str, column: str, low: float, high: float) -> Callable[[Results], list[str]]:
-    """Make a check that a column's numbers lie between two bounds; empty cells may stand there."""
+    """Make a check that a column's numbers lie between two bounds; empty cells pass."""
     return _each(
         name,
         lambda table: table[column].notna() & ~table[column].between(low, high),
@@ -178,7 +178,7 @@ def between(name: str, column: str, low: float, high: float) -> Callable[[Result
 
 
 def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
-    """Make a check that no number of one column is above that of another."""
+    """Make a check that column `low` exceeds column `high` in no row."""
     return _each(name, lambda t: t[low] > t[high], lambda _: f"{low} is above {high}")
 
 
