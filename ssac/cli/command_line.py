@@ -21,7 +21,7 @@ from ssac.cli.exits import BAD_INPUT, PIPE_CLOSED, fail
 DISTRIBUTION = "ssac-suite"
 
 Sections = Mapping[str, Sequence[tuple[str, str]]]
-"""Lists of names, each with a line of text, by their headings."""
+"""For each heading, a list of names, each with a line of text."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
 
 def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
     """Run a command line; return its exit code, wrong usage being one line on stderr."""
-    # BLAS starts no threads at its import, as sums depend on their number. Imports make 230,000
-    # objects, those of figures 350,000: looking through them for garbage takes 0.13 s.
+    # BLAS starts no threads at its import, as sums depend on the number of threads. Imports make
+    # 230,000 objects, those for figures 350,000: to search them for garbage takes 0.13 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(400_000)
     try:
@@ -93,7 +93,7 @@ def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
 
 
 class _LazyGroup(TyperGroup):
-    """Commands that are known by name and summary, and imported one by one."""
+    """A group of commands that lists names and summaries, and imports only the command called."""
 
     entries: ClassVar[Mapping[str, Entry]] = {}
 
@@ -102,7 +102,7 @@ class _LazyGroup(TyperGroup):
         return list(self.entries)
 
     def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
-        """Import a command by its name; if there is none, fail with the names that are close."""
+        """Import a command by its name; if there is none, fail and suggest similar names."""
         entry = self.entries.get(cmd_name)
         if entry is not None:
             module = import_module(entry.module)
@@ -111,7 +111,7 @@ class _LazyGroup(TyperGroup):
             )
             app.command(entry.name, cls=_ListingCommand)(getattr(module, entry.function))
             command = get_command(app)
-            assert isinstance(command, _ListingCommand)  # as asked for
+            assert isinstance(command, _ListingCommand)  # the class given above
             command.sections = getattr(module, "help_sections", dict)
             return command
         if not (ctx.resilient_parsing or cmd_name.startswith("-")):
@@ -128,7 +128,7 @@ class _LazyGroup(TyperGroup):
         _write(sections, formatter)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Complete a command's name without importing any."""
+        """Complete a command's name without importing a command."""
         from typer.core import CompletionItem  # type: ignore[attr-defined]
 
         options = TyperCommand.shell_complete(self, ctx, incomplete)
@@ -140,7 +140,7 @@ class _LazyGroup(TyperGroup):
 
 
 class _ListingCommand(TyperCommand):
-    """A command whose help shows arguments as they are typed, and ends with lists."""
+    """A command whose help shows arguments as the user types them, and ends with `sections`."""
 
     sections: Callable[[], Sections] = dict
 

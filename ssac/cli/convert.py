@@ -1,4 +1,4 @@
-"""The commands `ssac track` and `ssac import`, which make track files of other recordings."""
+"""The commands `ssac track` and `ssac import`, which make track files from other recordings."""
 
 import warnings
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Exit codes, and errors of commands as one line on stderr, never a traceback.
 
-On a terminal the line is folded. All that is imported here needs the standard library alone, so
-that `guarded` also covers the imports of everything else.
+On a terminal the line is folded. The modules imported here need only the standard library, so that
+`guarded` also covers the imports of everything else.
 """
 
 import os
@@ -21,24 +21,24 @@ from ssac.files.whole_file import write_whole
 from ssac.screen import columns, folded
 
 DONE = 0
-NO_ESTIMATE = 1  # for `ssac verify`, something differs; never a crash
+NO_ESTIMATE = 1  # of `ssac verify`: something differs; never a crash
 BAD_INPUT = 2  # wrong usage, or a file that cannot be read or written
 BUG = 3  # a mistake of ours, or of a package whose method was run
 INTERRUPTED = 128 + 2  # Ctrl-C, as shells count it: 128 and the signal's number
 TERMINATED = 128 + 15  # SIGTERM, which `kill`, `timeout` and job schedulers send
-PIPE_CLOSED = 128 + 13  # whoever read our output stopped reading, as `head` does
+PIPE_CLOSED = 128 + 13  # the reader of our output stopped reading, as `head` does
 
 
 def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
     """Run a command, and turn whatever it raises into one line and an exit code.
 
-    `blames_input` are errors that say what is wrong with the input, besides SsacError and OSError.
+    `blames_input` are further error types that, like SsacError and OSError, blame the input.
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     try:
         with _signals_as_exceptions():
             code = run()
-        if sys.stdout is not None:  # closed by whoever started us, as some services do
+        if sys.stdout is not None:  # None: closed by the parent process, as some services do
             sys.stdout.flush()
     except KeyboardInterrupt:
         code = INTERRUPTED
@@ -81,7 +81,7 @@ def _signals_as_exceptions() -> Iterator[None]:
     """Raise an exception in the block on Ctrl-C and SIGTERM, unless these have other handlers."""
 
     def interrupt(*_: object) -> None:
-        # Every 3 s again, as imports swallow some; in between, temporary files can be removed.
+        # Repeated every 3 s, as imports swallow some; in between, temporary files can be removed.
         signal.setitimer(signal.ITIMER_REAL, 3.0)
         raise KeyboardInterrupt
 

@@ -24,13 +24,13 @@ def number(
 ) -> Any:
     """Make an option of one or several numbers that must lie between two bounds, both allowed.
 
-    The unit is a word, "seconds"; `default_words` stand in place of a default that is no number.
+    `unit` is a word such as "seconds". Help shows `default_words`, if any, as the default.
     """
     bounds = f"{low:.10g} to {high:.10g}"
 
     def check(param: typer.CallbackParam, value: Any) -> Any:
         for each in value if isinstance(value, Iterable) else (value,):
-            if each is not None and not low <= each <= high:  # NaN is not within either
+            if each is not None and not low <= each <= high:  # true of NaN too
                 expected = f"{bounds} {unit}".strip()
                 raise SsacError(f"{param.opts[0]}: expected {expected}, got {each:.10g}")
         return value
@@ -54,19 +54,19 @@ def argument(metavar: str, help_text: str) -> Any:
 
 
 def flag(name: str, help_text: str) -> Any:
-    """Make an option that is given or not."""
+    """Make an option that takes no value."""
     return typer.Option(f"--{name}", help=help_text)
 
 
 @dataclass(frozen=True)
 class Option:
-    """One option of a command: what Typer shows and checks of it, and what it sets."""
+    """One option of a command: its Typer option and the field of Config that it sets, if any."""
 
     info: Any
-    field: str = ""  # of Config, which it sets and whose type and default it has; empty: none
-    type: Any = bool  # of a flag, or of an option that sets no field
-    default: Any = None  # of such an option; a flag's None is False
-    value: Any = None  # of the field where a flag is given; without the flag it keeps its default
+    field: str = ""  # field of Config that it sets; gives its type and default; empty: none
+    type: Any = bool  # type of a flag, or of an option that sets no field
+    default: Any = None  # default of such a flag or option; a flag's None is False
+    value: Any = None  # value that a flag gives the field, which otherwise keeps its default
 
     @property
     def parameter(self) -> tuple[Any, Any]:
@@ -80,7 +80,7 @@ class Option:
 def with_options(
     options: Mapping[str, Option],
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the parameters of a table in place of its last one, `**options`."""
+    """Replace a command's last parameter, `**options`, by one for each option of a table."""
 
     def given(command: Callable[..., None]) -> Callable[..., None]:
         *own, _ = inspect.signature(command).parameters.values()

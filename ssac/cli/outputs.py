@@ -32,7 +32,7 @@ PAGE_SUFFIXES = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where to write, by the names of the command's options; None: not asked for."""
+    """Paths to write to, named like the command's options; None: not asked for."""
 
     json_file: Path | None
     plot: Path | None  # a folder, or one file for all figures
@@ -82,7 +82,7 @@ def write_outputs(
         save_json(outputs.json_file, result.to_dict())
         tell(f"wrote {outputs.json_file}")
     synced, trajectory, rig = outputs.write_synced, outputs.trajectory, outputs.write_rig
-    if synced is not None and isinstance(result, Result):  # refused for more cameras
+    if synced is not None and isinstance(result, Result):  # with more cameras the option is refused
         if result.estimate.has_offset:
             with clock.part("write") as say:
                 say(_write_synced(synced, result.estimate, cam2, reading))
@@ -105,7 +105,7 @@ def write_outputs(
 
 
 def _write_synced(file: Path, estimate: Estimate, cam2: Path, reading: Reading) -> str:
-    """Write camera 2's file, read again as events in memory are denoised, on camera 1's clock."""
+    """Reread camera 2's file, as events in memory are denoised; write it on camera 1's clock."""
     if is_track_file(cam2):
         track = load_track(cam2)
         times_s = estimate.clock.cam1_from_cam2(track.times_s)
@@ -132,7 +132,7 @@ def known_of(
     if lever_arm_m is not None and rtk is None:
         raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
     if positions is not None:
-        from ssac.network.ground import load_positions  # which imports all that compares paths
+        from ssac.network.ground import load_positions  # a slow import: all that compares paths
 
         load_positions(positions)
     if rtk is not None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from tqdm import tqdm
 
 EVERY_S = 30.0
-"""Time after a line from which the next is due; it is printed when an item of work is done."""
+"""Time after which the next line is due; it is printed when the next item of work is done."""
 
 Advance = Callable[[int], object]
 """A function that takes the number of items done so far."""
@@ -18,10 +18,10 @@ Advance = Callable[[int], object]
 def progress(
     total: int, label: str, is_brief: bool = False, is_shown: bool = True
 ) -> Iterator[Advance]:
-    """Show the progress of some work; the block calls the function given as items are done.
+    """Show the progress of some work; yield the function to call with the number of items done.
 
-    Nothing is shown if `total` is 0 or `is_shown` is False. The bar of brief work, which mostly
-    takes seconds, appears after half a second, and its first line after `EVERY_S`.
+    Nothing is shown if `total` is 0 or `is_shown` is False. For brief work, which mostly takes
+    seconds, the bar appears after half a second, or the first line after `EVERY_S`.
     """
     if not (total and is_shown):
         yield lambda n_done: None
@@ -34,7 +34,7 @@ def progress(
 
 
 def _lines(total: int, label: str, is_brief: bool) -> Advance:
-    """Print a line at each tenth of the work, and where the last line is `EVERY_S` old."""
+    """Print a line at each tenth of the work, and when the last line is `EVERY_S` old."""
     says_tenths, n_tenths = not is_brief, 0
     begun_s = said_s = time.monotonic()
 
@@ -55,7 +55,7 @@ def _lines(total: int, label: str, is_brief: bool) -> Advance:
 
 @contextmanager
 def compilation_told() -> Iterator[None]:
-    """Say once if the block compiles kernels, as an installation's first run does: it is slower."""
+    """Say once if the block compiles kernels, which makes an installation's first run slower."""
     from numba.core.event import Event, Listener, install_listener
 
     class Teller(Listener):

@@ -1,4 +1,4 @@
-"""The command `ssac sync`; slow imports wait until it runs, so that its help does not."""
+"""The command `ssac sync`; slow modules are imported only when it runs, so its help is fast."""
 
 import webbrowser
 from importlib import import_module
@@ -32,7 +32,7 @@ from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 
 
 def complete_method(incomplete: str) -> list[tuple[str, str]]:
-    """List the methods whose names begin with what a shell is to complete."""
+    """List the methods whose names begin with `incomplete`, and their summaries."""
     return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
 
 
@@ -240,7 +240,7 @@ def sync_command(
 
 
 def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
-    """Return each camera's file: a simulated folder holds one for each camera, a bag two topics."""
+    """Return each camera's file: as given, from a simulated folder, or as topics of bags."""
     from ssac.files.readable import check_is_file
     from ssac.files.ros_bags import SeveralTopicsError, bag_of, topic_of
 
@@ -255,7 +255,7 @@ def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
     try:
         found = [topic_of(path) for path in given if bag_of(path) is not None]
     except SeveralTopicsError as error:
-        if len(given) > 2 or len({*given}) > 1:  # --topics is no way to name one of these
+        if len(given) > 2 or len({*given}) > 1:  # --topics cannot name these
             raise
         both = f"or both cameras' with --topics {' '.join(error.names[:2])}"
         raise SsacError(f"{error}, {both}") from error
@@ -298,14 +298,14 @@ def _check_search(given: SimpleNamespace) -> None:
 
 
 def help_sections() -> Sections:
-    """Return the lists below the help: methods, and statuses of an estimate with their meanings."""
+    """Return the lists that end the help: methods and an estimate's statuses, with meanings."""
     estimate = import_module("ssac.estimate")
     statuses = [(str(status), status.meaning) for status in estimate.Status]
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
 def _check_number(given: SimpleNamespace, has_more: bool) -> None:
-    """Refuse options that are not for this number of cameras."""
+    """Raise SsacError for options that do not suit the number of cameras."""
     for_two = {
         "--cameras": given.cameras != (1, 2),
         "--write-synced": given.write_synced,

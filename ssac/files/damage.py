@@ -1,8 +1,8 @@
 """Event files that are damaged, out of order, or perhaps in another unit of time.
 
-A file with signs of damage is refused, or read as far as it goes, with a warning, where that is
-asked for. Events that are out of order by less than 1 ms, as some cameras' drivers write them, are
-no damage: they are sorted where that is asked for.
+A file with signs of damage is refused; if the caller allows damage, the file is read as far as
+possible, with a warning. Events that are out of order by less than 1 ms, as some cameras' drivers
+write them, are no damage: they are sorted if the caller asks for it.
 """
 
 import warnings
@@ -17,12 +17,12 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events
 
 REPEATED = 32
-"""Least number of equal words or events in a row that are no sensor's: a block was overwritten."""
+"""Fewest equal words or events in a row that no sensor writes: a block was overwritten."""
 
 _LONGEST_GAP_US = 3600 * US_PER_S  # longest pause between two events of a recording
 
-# A camera gives thousands of events a second of a moving object, for minutes. Fewer in a longer
-# recording, or as many in a shorter one, suggest that times are in another unit.
+# A moving object gives thousands of events a second, for minutes. A lower rate over more than
+# LONGEST_S, or over 1000 events within _SHORTEST_S, suggest times in another unit.
 _LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
 
 
@@ -30,7 +30,7 @@ _LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
 class Reading:
     """How an event file that is damaged or out of order may be read."""
 
-    allow_damaged: bool = False  # read what is left, and warn
+    allow_damaged: bool = False  # read the undamaged part, and warn
     sort: bool = False  # sort events that are out of order by less than 1 ms
 
 
@@ -38,7 +38,7 @@ STRICT = Reading()
 
 
 def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
-    """Raise SsacError for a file with signs of damage, or warn where it is to be read anyway."""
+    """Raise SsacError if there are signs of damage; only warn if `reading` allows damage."""
     if not signs:
         return
     found = "; ".join(signs)
@@ -63,10 +63,10 @@ def checked_file(
     reading: Reading,
     is_text: bool = False,
 ) -> EventFile:
-    """Check the events of a file, sort them or leave damage out as `reading` allows, return them.
+    """Return a file's events, checked, and sorted or freed of damage as `reading` allows.
 
-    SsacError for signs of damage that are not allowed, and for no events. In text, whose times may
-    be rounded, the same event may be repeated often.
+    SsacError for signs of damage that are not allowed, and if there are no events. Repeated events
+    are no sign of damage in text, whose times may be rounded.
     """
     t = np.ascontiguousarray(events["t"])
     is_odd = np.any(t[1:] < t[:-1]) or np.any(t[REPEATED - 1 :] == t[: 1 - REPEATED])
@@ -89,14 +89,14 @@ def checked_file(
 
 
 def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Events:
-    """Examine events whose times run back or leap, or that are repeated; sort or cut them."""
+    """Sort or cut events whose times run back or leap; look for repeated events."""
     t, x, y = (events[field] for field in "txy")
     steps_us, is_back = np.diff(t), t[1:] < t[:-1]
     n_back = np.count_nonzero(is_back)
-    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # or beyond 64 bits
+    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # < 0 also on overflow of 64 bits
     n_leaps = np.count_nonzero(~is_back & is_leap)
     most_back_us = int(np.max(np.maximum.accumulate(t) - t, initial=0))
-    if n_back and not n_leaps and most_back_us < 1000:  # as a driver mixes events up
+    if n_back and not n_leaps and most_back_us < 1000:  # the disorder that drivers cause
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
         if not reading.sort:
             raise SsacError(
@@ -115,7 +115,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:
         kept = events
-        if reading.allow_damaged:  # the part with the most events, between such places
+        if reading.allow_damaged:  # the part with the most events and no leap or step back
             kept = max(np.split(events, np.flatnonzero(is_back | is_leap) + 1), key=len)
         lost = len(events) - len(kept)
         if lost:

@@ -1,8 +1,8 @@
 """Conversion of public drone-tracking data sets to our track files and rig file.
 
 The data sets (github.com/CenekAlbl/drone-tracking-datasets, Li et al., IROS 2020) are not ours to
-ship: their licence is CC BY-NC-SA. A folder has `cameras.txt`, `detections/camK.txt` with a line
-`frame x y` for each frame (0 0 where nothing was seen), and beside it `calibration/MODEL/*.json`.
+ship: their licence is CC BY-NC-SA. A folder has `cameras.txt` and `detections/camK.txt`, with a
+line `frame x y` for each frame (0 0: nothing seen). Beside it stands `calibration/MODEL/*.json`.
 """
 
 import json
@@ -22,11 +22,11 @@ from ssac.files.whole_file import write_whole
 from ssac.points import PointTrack
 
 OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2")}
-"""Models that were calibrated twice: for data sets 1 and 2, and for the later ones."""
+"""Calibrations of each model that has two: for data sets 1 and 2, and for the later ones."""
 
 KEYFRAMES = {4: 4}
-"""Data sets of which only every n-th frame was labelled, and n; those between are interpolated, and
-would make deviations too small."""
+"""For each data set of which only every n-th frame was labelled, n. The frames between are
+interpolated, and would make deviations too small."""
 
 FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
 """Deviations of phones' and camcorders' intrinsics, which focus and stabilisation change: between
@@ -39,12 +39,12 @@ _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 class ImportedCamera:
     """One camera of a data set."""
 
-    name: str  # of its files
+    name: str  # camK, in its files and in the rig
     model: str
-    fps: float  # as its calibration says
+    fps: float  # frame rate [1/s] that its calibration states
     rig: dict[str, Any]  # its entry in a camchain
     track: PointTrack
-    n_outside: int  # points beyond the image, left out
+    n_outside: int  # number of points outside the image, which are left out
 
 
 def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
@@ -84,7 +84,7 @@ def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
 
 
 def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any], float]:
-    """Camchain entry and frame rate [1/s] of a model."""
+    """Return the camchain entry and the frame rate [1/s] of a camera model."""
     name = OF_DATA_SET.get(model, (model, model))[number >= 3]
     path = folder / f"{name}.json"
     try:
@@ -113,7 +113,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
 
 
 def _detections(path: Path) -> tuple[Array, Array]:
-    """Frames (n,) and points (n, 2) [px]; a header is passed over."""
+    """Read frame numbers (n,) and points (n, 2) [px]; a header line is skipped."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split() for line in lines if line.strip()]

@@ -1,7 +1,7 @@
-"""Event files of all formats, by their extensions.
+"""Reading and writing of event files, in the format that their extension names.
 
-An offset is a difference of clocks, so a file is of use only if its format keeps absolute times:
-the table in docs/sync.md says which formats do.
+A time offset is a difference of clocks, so a file is of use only if its format keeps absolute
+times: the table in docs/sync.md says which formats do.
 
 To add a format, add a module that reads it, and perhaps writes it, and a line in FORMATS and in
 that table.
@@ -31,8 +31,8 @@ FORMATS = {
     )
     for suffix in suffixes.split()
 }
-"""For each extension a module, imported when it is needed; its function (path, reading) that reads
-an EventFile; and perhaps a function (path, events, width, height) that writes one."""
+"""For each extension: the module to import when it is needed; its function (path, reading) that
+returns an EventFile; and, if it can write, its function (path, events, width, height)."""
 
 WRITTEN = tuple(suffix for suffix, (_, *functions) in FORMATS.items() if len(functions) == 2)
 """Extensions of the formats that can be written."""
@@ -43,9 +43,9 @@ _VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     """Read an event file in the format of its extension, or a topic of a ROS bag as BAG/TOPIC.
 
-    Events are sorted, on the clock of the camera that recorded them; the sensor's size is None
-    where the file does not state it. SsacError, which names the file, if it cannot be read, is
-    damaged or unsorted.
+    Events are sorted by time, on the clock of the camera that recorded them; the sensor's size is
+    None if the file does not state it. SsacError, which names the file, if the file cannot be
+    read, is damaged or unsorted.
     """
     path = Path(path)
     if bag_of(path) is not None:

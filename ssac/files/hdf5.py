@@ -27,8 +27,8 @@ from ssac.files.whole_file import check_writable, whole_file
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 
-EVENTS_PER_BLOCK = 1 << 18  # read at once: they stay in the processor's cache until in place
-BYTES_PER_BLOCK = 1 << 24  # of frames read at once, where only summaries are kept
+EVENTS_PER_BLOCK = 1 << 18  # read at a time: a block stays in the processor's cache until copied
+BYTES_PER_BLOCK = 1 << 24  # of frames read at a time, if only their summaries are kept
 _KIND = "a readable HDF5 file"
 
 
@@ -68,8 +68,8 @@ def load_frames(
 ) -> tuple[IntArray, NDArray[Any]] | None:
     """Read a recording's times of mid-exposure (n,) [us] and frames (n, height, width) uint8.
 
-    None if there are no frames. `summary` is called with some frames (k, height, width) at a time,
-    and the array (k, ...) that it returns is kept in their place.
+    None if there are no frames or the file is not HDF5. `summary` is called with blocks of frames
+    (k, height, width); the array (k, ...) that it returns is kept in their place.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
@@ -120,7 +120,7 @@ def _read_blocks(
 def _summarised(
     images: h5py.Dataset, summary: Callable[[NDArray[np.uint8]], NDArray[Any]]
 ) -> NDArray[Any]:
-    """Summarise all frames, reading whole chunks, as each chunk is decoded as a whole."""
+    """Summarise all frames; read whole chunks, as HDF5 decodes each chunk as a whole."""
     n, height, width = images.shape
     per_chunk = images.chunks[0] if images.chunks else 1
     step = per_chunk * max(1, BYTES_PER_BLOCK // max(1, per_chunk * height * width))
@@ -129,13 +129,13 @@ def _summarised(
 
 
 def _offset_us(file: h5py.File, path: Path) -> int:
-    """Time [us] that DSEC's times are relative to; 0 where there is none."""
+    """Return `t_offset` [us], to which DSEC's times are relative; 0 if the file has none."""
     offset = _dataset(file, "t_offset", path)
     if offset is None:
         return 0
     is_number = offset.size == 1 and offset.dtype.kind in "iuf"
     value = np.ravel(offset[()])[0] if is_number else np.nan
-    if not abs(value) < 2.0**60:  # NaN is not either
+    if not abs(value) < 2.0**60:  # true of NaN too
         raise SsacError(
             f"{path}: t_offset must be one number of microseconds, got {value:g}, of the shape "
             f"{offset.shape} of {offset.dtype}: convert it again"
@@ -170,7 +170,7 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
             )
     largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
     stored = found.id.get_storage_size()
-    # A megabyte does no harm, and no codec unpacks one byte to more than 1000.
+    # A megabyte does no harm, and no codec expands one byte to more than 1000.
     if largest > max(1 << 20, 1000 * stored):
         raise SsacError(
             f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
@@ -194,7 +194,7 @@ def _signs_of_loss(found: Any) -> list[str]:
 
 
 def _sensor_size(file: h5py.File, path: Path) -> tuple[int | None, int | None]:
-    """Width and height [px] from the file's attributes; None where they are missing."""
+    """Return the sensor's width and height [px] from attributes; None where they are missing."""
     if "geometry" in file.attrs:
         geometry = file.attrs["geometry"]
         text = geometry.decode() if isinstance(geometry, bytes) else str(geometry)

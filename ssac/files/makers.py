@@ -2,11 +2,11 @@
 
 An Event Stream file has no place for its absolute start: faery and others subtract the first
 timestamp on writing, so a file that starts at time 0 gives a warning. RAW, DAT and ES files have no
-end mark: a truncated one is a shorter recording.
+end mark: a truncated file reads as a shorter recording.
 
-Damage in the middle of a file is passed over by faery, or crashes it: of an AEDAT 4 file it takes
-as much memory as a corrupt size states, and ends the process if there is not enough. So files are
-first searched for signs of damage that no sensor writes; docs/security.md lists them.
+Where a file is damaged in its middle, faery overlooks the damage or crashes: for an AEDAT 4 file it
+allocates as much memory as a corrupt size states, and ends the process if there is not enough. So
+files are first searched for patterns that no sensor writes; docs/security.md lists them.
 """
 
 import re
@@ -38,7 +38,7 @@ _STREAM = re.compile(rb'<node name="(\d+)"')
 
 
 def load_makers_file(path: Path, reading: Reading, named: Path | None = None) -> EventFile:
-    """Read a camera maker's file; messages call it `named`, or by its path if that is None."""
+    """Read a camera maker's file; messages call it `named`, or `path` if `named` is None."""
     name = named or path
     refuse_damaged(name, _signs(path), reading)
     file = checked_file(*_decoded(path, reading, name), name, reading)
@@ -54,7 +54,7 @@ def load_makers_file(path: Path, reading: Reading, named: Path | None = None) ->
 def _decoded(
     path: Path, reading: Reading, name: Path
 ) -> tuple[Events, tuple[int | None, int | None]]:
-    """Decode all events, or those before the damage if that is allowed, and the sensor's size."""
+    """Return all events, or those before the damage if allowed, and the sensor's size [px]."""
     import faery  # here, as it takes long: other formats do without it
 
     blocks: list[NDArray[Any]] = [np.empty(0, faery.EVENTS_DTYPE)]
@@ -63,7 +63,7 @@ def _decoded(
         width, height = stream.dimensions()
         try:
             blocks.extend(stream)
-        except BaseException as error:  # the library's panics are no Exception
+        except BaseException as error:  # a panic of the library is no Exception
             if (
                 len(blocks) == 1
                 or not reading.allow_damaged
@@ -81,7 +81,7 @@ def _decoded(
 
 
 def _signs(path: Path) -> list[str]:
-    """List signs of damage that faery passes over, or that would crash it."""
+    """List signs of damage that faery overlooks, or that would crash it."""
     suffix = path.suffix.lower()
     if suffix == ".aedat4":
         return _signs_of_packets(path)
@@ -91,7 +91,7 @@ def _signs(path: Path) -> list[str]:
     dtype, n_about, find = {
         "evt2": ("<u4", 0, _signs_of_evt2),
         "evt3": ("<u2", 0, _signs_of_evt3),
-        "dat": ("<u8", 2, _signs_of_dat),  # after the type and the size of a record
+        "dat": ("<u8", 2, _signs_of_dat),  # 2 bytes of a record's type and size
     }[encoding]
     words, rest = _words(path, np.dtype(dtype), n_about)
     signs = [
@@ -117,7 +117,7 @@ def _evt_version(path: Path) -> str:
 
 
 def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
-    """Read all words behind the header and `n_about` bytes; also count the bytes left over."""
+    """Read all words after the header and `n_about` more bytes; also count the bytes left over."""
     with readable(path, "a readable file"), path.open("rb") as file:
         start = 0
         while (line := file.readline()).startswith(b"%"):
@@ -130,11 +130,11 @@ def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
 
 
 def _signs_of_evt2(words: Words) -> tuple[int, ...]:
-    """Count invalid words, times that run back, leaps, repeated words."""
+    """Count the signs of damage of each of the `_KINDS`."""
     kinds = words >> 28
     is_event, is_high = kinds <= 1, kinds == 0x8
     falls = -np.diff((words[is_high] & 0xFFFFFFF).astype(np.int64))
-    n_back = np.count_nonzero((falls > 0) & (falls <= 1 << 27))  # else the counter began anew
+    n_back = np.count_nonzero((falls > 0) & (falls <= 1 << 27))  # a larger fall is a wrap-around
     low, n_high = words[is_event] >> 22 & 0x3F, np.cumsum(is_high)[is_event]
     under_one = (n_high[1:] == n_high[:-1]) & (n_high[1:] > 0)
     n_back += np.count_nonzero((low[1:] < low[:-1]) & under_one)
@@ -148,7 +148,7 @@ def _signs_of_evt3(words: Words) -> tuple[int, ...]:
     steps = np.diff((words[kinds == 0x8] & 0xFFF).astype(np.int64)) & 0xFFF
     n_leaps = np.count_nonzero((steps > _SLACK_EVT3) & (steps < 0x800))
     if np.count_nonzero(steps == 0) * 10 < len(steps):
-        n_leaps = 0  # time is written when it changes, and so not while nothing happens
+        n_leaps = 0  # the sensor writes time only when it changes: gaps are pauses
     n_invalid = _meaningless(kinds, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA, 0xE), (0x7, 0xF))
     n_repeated = _repeated(words, np.isin(kinds, (0x0, 0x2, 0x3, 0x6)))  # y, x, x, time
     return n_invalid, np.count_nonzero(steps >= 0x800), n_leaps, n_repeated
@@ -158,13 +158,13 @@ def _signs_of_dat(words: Words) -> tuple[int, ...]:
     """Count as `_signs_of_evt2`."""
     steps_us = np.diff((words & np.uint64(0xFFFFFFFF)).astype(np.int64))
     n_invalid = np.count_nonzero(words >> np.uint64(60) > 1)
-    # After a larger fall the counter began anew.
+    # After a larger fall the counter has wrapped around.
     n_back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
     return n_invalid, n_back, 0, _repeated(words, np.ones(len(words), np.bool_))
 
 
 def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]) -> int:
-    """Count words of unknown kinds, and continuing words without one that they may continue."""
+    """Count words of unknown kinds, and continuation words that follow no word to continue."""
     goes_on = np.isin(kinds, going_on)
     goes_on[:1] = False
     goes_on[1:] &= np.isin(kinds[:-1], (0xE, *going_on))
@@ -172,7 +172,7 @@ def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]
 
 
 def _repeated(words: Words, is_event: Mask) -> int:
-    """Count the words of events that are in long runs of equal words."""
+    """Count event words in runs of at least `REPEATED` equal words."""
     return count_repeated((words[1:] == words[:-1]) & is_event[1:])
 
 
@@ -189,7 +189,7 @@ def _signs_of_packets(path: Path) -> list[str]:
         header = file.read(n_header)
         _check_description(header)
         streams = {int(number) for number in _STREAM.findall(header)}
-        place = _field_place(header, 1)  # of the position of the table of packets, behind them
+        place = _field_place(header, 1)  # position of the packet table, after the packets
         table = struct.unpack_from("<q", header, place)[0] if place else 0
         if table > size:
             return [f"the table of its packets is at byte {table} of {size}"]
@@ -212,7 +212,7 @@ def _broken(file: BinaryIO, end: int, streams: set[int]) -> list[str]:
 
 
 def _check_description(header: bytes) -> None:
-    """Raise ValueError unless the header's XML can be parsed: else the library may abort."""
+    """Raise ValueError unless the header's XML can be parsed, as the library might abort."""
     place = _field_place(header, 2)
     start = place + struct.unpack_from("<I", header, place)[0] if place else 0
     (length,) = struct.unpack_from("<I", header, start) if place else (0,)
@@ -226,7 +226,7 @@ def _check_description(header: bytes) -> None:
 
 
 def _field_place(header: bytes, number: int) -> int:
-    """Find the byte in the header, a FlatBuffer, at which a field begins; 0 if it is left out."""
+    """Return the byte of the header, a FlatBuffer, where a field begins; 0 if it is absent."""
     (root,) = struct.unpack_from("<I", header)
     fields = root - struct.unpack_from("<i", header, root)[0]
     (length,) = struct.unpack_from("<H", header, fields)

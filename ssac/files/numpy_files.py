@@ -1,4 +1,4 @@
-"""NumPy's own files of events: a structured array (.npy), or an archive with it (.npz).
+"""NumPy files of events: a structured array (.npy), or an archive of arrays (.npz).
 
 Fields are in any order, such as the Metavision SDK's. An archive has an array `events`, or an array
 for each of t, x, y and p, and perhaps the sensor's `width` and `height`. Nothing is unpickled.

@@ -1,4 +1,4 @@
-"""Unreadable files: whatever a library raises about a file becomes an SsacError that names it."""
+"""Unreadable files: each exception of a library becomes an SsacError that names the file."""
 
 import os
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def brief(error: BaseException, longest: int = 200) -> str:
-    """Say in a few words of one line what a library raised."""
+    """Return an exception's message on one line, cut to `longest` characters."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= longest else f"{words[:longest]}..."
 
@@ -55,7 +55,7 @@ def silenced() -> Iterator[None]:
 
 
 def check_text(path: Path) -> None:
-    """Raise SsacError if a file has a byte of value 0, which a reader of text takes for its end."""
+    """Raise SsacError if a file has a zero byte, which a text reader takes for the file's end."""
     with readable(path, "a readable file"), path.open("rb") as file:
         while block := file.read(1 << 22):
             at = block.find(b"\0")
@@ -67,7 +67,7 @@ def check_text(path: Path) -> None:
 
 
 def is_number(word: str) -> bool:
-    """Return whether `float` reads a word."""
+    """Return whether `float` can parse a word."""
     try:
         float(word)
     except ValueError:
@@ -77,7 +77,7 @@ def is_number(word: str) -> bool:
 
 def side_px(value: Any, said: str, path: Path) -> int:
     """Return a sensor's width or height [px] that a file states; SsacError, with `said`, if bad."""
-    most = (1 << 16) - 1  # what an event's field x or y holds
+    most = (1 << 16) - 1  # largest value of an event's field x or y
     try:
         side = int(value)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Rig files: Kalibr camchain YAML, which is written too, and OpenCV stereo YAML."""
+"""Rig files: Kalibr camchains, which are read and written, and OpenCV stereo YAML, only read."""
 
 import re
 import reprlib
@@ -20,7 +20,7 @@ from ssac.files.whole_file import write_whole
 RIG_SUFFIXES = (".yaml", ".yml")
 
 LENGTH_UNITS = ("m", "first_baseline")
-"""Values of a camera's key `length_unit`: metres, or distances of the first two cameras placed."""
+"""Values of a camera's `length_unit`: metre, or distance between the first two cameras placed."""
 
 _CAMERA = re.compile(r"cam\d+")
 
@@ -28,29 +28,29 @@ _CAMERA = re.compile(r"cam\d+")
 class Step(NamedTuple):
     """The pose and the time offset of a camera n relative to an earlier camera of the chain."""
 
-    back: int  # the earlier camera is n - back; Kalibr itself knows only 1
+    back: int  # the earlier camera is n - back; Kalibr's own files have only 1
     T: Array  # (4, 4) x_n = T x_(n - back)
     shift_s: float  # t_n = t_(n - back) + shift_s
-    in_metres: bool  # False: T is in units of the distance of the first two cameras placed
+    in_metres: bool  # False: T's unit is the distance between the first two cameras placed
 
 
 def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
-    """Read two cameras of a rig, and their relative pose where the file has it.
+    """Read two cameras of a rig, and their relative pose if the file has it.
 
     Parameters
     ----------
     path
-        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). A camchain's
-        pose may be relative to a camera further back, as `T_cn_cnm2`, where one in between has
-        none; OpenCV's lens is radtan unless the key `distortion_model` says `equidistant`.
+        A Kalibr camchain, or the YAML of OpenCV's stereo calibration (docs/sync.md). In a camchain
+        a pose may skip cameras that have none, as `T_cn_cnm2` does; an OpenCV file's distortion
+        is radtan unless the key `distortion_model` says `equidistant`.
     cameras
-        Numbers of the two that are to be cameras 1 and 2, from 1 on; one may be named twice.
+        Numbers in the rig, from 1, of the cameras to return as 1 and 2; they may be equal.
 
     Returns
     -------
     Rig
-        Cameras with valid intrinsics, whose deviations are those of a good calibration where the
-        file states none; T_2_1 in metres, unless a camera's key `length_unit` says otherwise.
+        Cameras with valid intrinsics, whose deviations are those of a good calibration if the file
+        states none; T_2_1 in metres, unless a camera's key `length_unit` says otherwise.
     """
     path = Path(path)
     if path.suffix.lower() not in RIG_SUFFIXES:
@@ -71,9 +71,9 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
 def save_rig(
     path: Path, cameras: Sequence[Camera], steps: Sequence[Step | None], comment: str
 ) -> None:
-    """Write a Kalibr camchain that `load_rig` reads; comments give ROS commands for each pose.
+    """Write a Kalibr camchain that `load_rig` reads, with a ROS command for each pose as a comment.
 
-    `steps` has one step to each camera, or None where it is not known, as for the first.
+    `steps` has for each camera its step from an earlier one; None if unknown, as for the first.
     """
     chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
     for k, (camera, step) in enumerate(zip(cameras, steps, strict=True)):
@@ -106,7 +106,7 @@ def save_rig(
 def check_resolution(
     camera: Camera, width: int | None, height: int | None, camera_name: str, events_name: str
 ) -> None:
-    """Raise SsacError unless a calibration is for the size of the recording, where it is known."""
+    """Raise SsacError if the recording's size [px] is known and is not that of the calibration."""
     for recorded, calibrated in ((width, camera.width), (height, camera.height)):
         if recorded is not None and recorded != calibrated:
             raise SsacError(
@@ -134,7 +134,7 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
     cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in wanted)
     first, k = sorted(number - 1 for number in cameras)
     steps, units = list[Array](), list[str]()
-    while k > first:  # back from the last
+    while k > first:  # from the later camera back to the earlier
         name, entry = f"{path}, cam{k}", document.get(f"cam{k}", {})
         back = next((n for n in range(1, k - first + 1) if f"T_cn_cnm{n}" in entry), None)
         if back is None:
@@ -156,7 +156,7 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
 
 
 def _camera_from_kalibr(name: str, entry: Any) -> Camera:
-    """Camera of one entry of a camchain file; `name` starts the error messages."""
+    """Return the camera of one entry of a camchain; error messages start with `name`."""
     keys = ("camera_model", "intrinsics", "distortion_model", "resolution")
     missing = [key for key in keys if not isinstance(entry, Mapping) or key not in entry]
     if missing:
@@ -181,7 +181,7 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     if "intrinsics_std" in entry:
         numbers = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
         deviations = tuple(numbers.tolist())
-    readout_s = entry.get("readout_s")  # of a rolling shutter, 0 of a global one
+    readout_s = entry.get("readout_s")  # of a rolling shutter; 0: global shutter
     if readout_s is not None:
         readout_s = float(_numbers(readout_s, (), f"{name}, readout_s"))
     model = "radtan" if model == "plumb_bob" else model
@@ -225,7 +225,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
 def _checked_camera(
     name: str, K: Array, size: Iterable[float], distortion_model: str, coeffs: Array, *more: Any
 ) -> Camera:
-    """Make and check a camera; the model "none" may come with coefficients that are all zero."""
+    """Make and check a camera; the model "none" may have coefficients that are all zero."""
     if distortion_model == "none" and not coeffs.any():
         coeffs = coeffs[:0]
     width, height = map(int, size)
@@ -235,7 +235,7 @@ def _checked_camera(
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Array:
-    """Finite array of the given shape (-1: any length); SsacError otherwise."""
+    """Return a finite array of the given shape (-1: any length); SsacError otherwise."""
     try:
         numbers = np.array(value if _is_shaped(value, shape) else np.nan, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -255,13 +255,13 @@ def _shown(value: Any) -> str:
 
 
 def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether nested lists have a shape, tested before they are read: YAML's may be endless."""
+    """Whether nested lists have a shape, tested before conversion: YAML's may be endless."""
     if isinstance(value, np.ndarray):
         return bool(value.shape == shape)
     if not shape:
         return isinstance(value, (int, float, str))
     if not isinstance(value, (list, tuple)):
         return False
-    most = 14  # coefficients of any lens model of OpenCV
+    most = 14  # coefficients of OpenCV's largest lens model
     right = len(value) <= most if shape[0] == -1 else len(value) == shape[0]
     return right and all(_is_shaped(item, shape[1:]) for item in value)

@@ -1,9 +1,9 @@
 """ROS 1 and ROS 2 bags, which the library rosbags opens; their messages are decoded here.
 
 A path may lead into a bag: BAG/TOPIC is one topic of it, where BAG is a file (.bag, .db3, .mcap) or
-the folder of a ROS 2 bag. Without a topic the only one with events is taken; if none has events,
-the only one with points, which is a track (x and y [px], at the header's time). Events have times
-of their own: the times at which messages were sent or written are ignored.
+the folder of a ROS 2 bag. If the path names no topic, the only topic with events is taken; if none
+has events, the only one with points, which is a track (x and y [px], at the header's time). Each
+event has its own time: the times at which messages were sent or written are ignored.
 
 The library's own decoding makes an object of each event, which is some 40 times as slow, and runs
 code that it generates from definitions in the bag.
@@ -36,11 +36,11 @@ _POINTS = "geometry_msgs/msg/PointStamped"
 _KINDS = (*_ARRAYS, _PACKETS, _POINTS)
 
 _METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
-_COMPRESSED = ".zstd"  # behind the suffix of a file of a ROS 2 bag
+_COMPRESSED = ".zstd"  # follows the suffix of a compressed file of a ROS 2 bag
 _READABLE = "a readable ROS bag"
-_EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # type of a word; bits below the 4 of its kind
+_EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # a word's type; bits below its 4-bit kind
 _TIME_HIGH = 0x8
-_EVENT_BYTES = 13  # of ROS 1; ROS 2 aligns numbers, so that events begin 16 apart
+_EVENT_BYTES = 13  # of ROS 1; ROS 2 aligns numbers, so that events begin 16 bytes apart
 
 
 class SeveralTopicsError(SsacError):
@@ -58,19 +58,19 @@ class SeveralTopicsError(SsacError):
 class Topic:
     """One topic of a bag."""
 
-    path: Path  # as it was given, for messages
+    path: Path  # as the caller gave it, for error messages
     bag: Path
     name: str
     kind: str  # type of its messages
 
     @property
     def is_track(self) -> bool:
-        """Whether it holds points, not events."""
+        """Whether the topic holds points, not events."""
         return self.kind == _POINTS
 
 
 def bag_of(path: Path) -> tuple[Path, str] | None:
-    """Split a path into a bag that exists and a topic, "" if none is named; None without a bag."""
+    """Split a path into an existing bag and a topic, "" if none is named; None if it has no bag."""
     for bag in (path,) if path.exists() else path.parents:
         is_named = bag.name.lower().removesuffix(_COMPRESSED).endswith(BAG_SUFFIXES)
         if (is_named and bag.is_file()) or (bag / _METADATA).is_file():
@@ -116,7 +116,7 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
         raise SsacError(f"{path}: {topic.name} holds points, a track: expected a topic of events")
     forms: set[tuple[int, int, str]] = set()  # width, height and encoding
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
-    words: list[NDArray[Any]] = []  # of evt2 or evt3, which are decoded together at the end
+    words: list[NDArray[Any]] = []  # evt2 or evt3 words, which are decoded together at the end
 
     def take(message: _Message) -> None:
         message.header_ns()
@@ -183,7 +183,7 @@ def _reader(bag: Path) -> Any:
 
 
 def _has_compressed_messages(bag: Path) -> bool:
-    """Whether metadata beside a ROS 2 bag's file say so: no reader sees it in the file alone."""
+    """Whether metadata beside a ROS 2 file say that messages are compressed; the file does not."""
     about = bag.with_name(_METADATA)
     text = about.read_text(encoding="utf-8", errors="replace") if about.is_file() else ""
     return re.search(r"compression_mode: *\W?message", text, re.IGNORECASE) is not None
@@ -194,11 +194,11 @@ def _is_ros1(bag: Path) -> bool:
 
 
 class _Message:
-    """The fields of a message one after another, as ROS 1 or ROS 2 (CDR) lays them out."""
+    """A reader of a message's fields, one after another, in the layout of ROS 1 or ROS 2 (CDR)."""
 
     def __init__(self, raw: bytes, is_ros1: bool) -> None:
         self.raw, self.is_ros1 = raw, is_ros1
-        self.start = 0 if is_ros1 else 4  # behind CDR's own header
+        self.start = 0 if is_ros1 else 4  # after CDR's own header
         self.order = "<" if is_ros1 or raw[1] & 1 else ">"
         self.at = self.start
 
@@ -242,7 +242,7 @@ class _Message:
             "offsets": [0, 2, 4 + gap, 8 + gap, 12 + gap],
             "itemsize": _EVENT_BYTES if self.is_ros1 else 16,
         }
-        # In ROS 2 an event begins two bytes before a multiple of four, but the first begins at one.
+        # In ROS 2 the first event begins at a multiple of four bytes, others two bytes before one.
         events = np.frombuffer(self.raw + b"\0", np.dtype(about), n, first - gap)
         x, y = events["x"].copy(), events["y"].copy()
         if n:
@@ -254,7 +254,7 @@ class _Message:
 def _of_words(
     words: NDArray[Any], width: int, height: int, encoding: str, path: Path, reading: Reading
 ) -> EventFile:
-    """Decode EVT words by way of a RAW file, without those before the first word of time."""
+    """Decode EVT words through a temporary RAW file, without those before the first time word."""
     from ssac.files.makers import load_makers_file
 
     version = encoding.removeprefix("evt")
@@ -269,7 +269,7 @@ def _of_words(
 
 
 def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> Events:
-    """Decode words of p (1 bit), y (15), x (16) and the time since the base (32) [ns]."""
+    """Decode 64-bit words: p (1 bit), y (15), x (16) and the time since `base_ns` (32) [ns]."""
     words = np.frombuffer(data, order + "u8").astype(np.int64)
     t_us = _us_from_ns(base_ns + (words & 0xFFFFFFFF))
     return events_from_arrays(t_us, words >> 32 & 0xFFFF, words >> 48 & 0x7FFF, words < 0, name)
@@ -280,7 +280,7 @@ def _us_from_ns(times_ns: NDArray[Any]) -> IntArray:
 
 
 def _for_each(topic: Topic, take: Callable[[_Message], None], reading: Reading) -> None:
-    """Call `take` with each message of a topic; in a damaged bag up to the damage, if allowed."""
+    """Call `take` with each message of a topic, or with those before the damage, if allowed."""
     n = n_said = 0
     try:
         with readable(topic.path, _READABLE), _reader(topic.bag) as reader:

@@ -1,7 +1,7 @@
 """Text recordings: ESIM text, and comma-separated values (docs/sync.md).
 
-The names of a csv file's columns may carry the sensor's size as faery writes it (`x@346`), and `p`
-may be called `on`. The polarity of a darker event is 0 or -1.
+The names of a csv file's columns may include the sensor's size as faery writes it (`x@346`), and
+`p` may be called `on`. The polarity of a darker event is 0 or -1.
 """
 
 import csv
@@ -76,13 +76,13 @@ def _first_line(path: Path) -> str:
 
 
 def _is_whole_number(word: str) -> bool:
-    return word.isascii() and word.isdigit()  # "³" is a digit too
+    return word.isascii() and word.isdigit()  # isdigit accepts "³" too
 
 
 def _read_table(
     path: Path, separator: str, columns: list[str], has_header: bool, in_seconds: bool
 ) -> Events:
-    """Events of a table of numbers; times in seconds are rounded to whole microseconds."""
+    """Read the events of a table; times in seconds are rounded to whole microseconds."""
     import pandas as pd  # here, as it takes long: other formats do without it
 
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
@@ -119,9 +119,9 @@ def _read_table(
 
 
 def _microseconds_from_seconds(t_s: Array, path: Path) -> IntArray:
-    """Round to whole microseconds; SsacError for nan, inf and times that are not in seconds."""
-    most_s = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
-    if not (np.abs(t_s) < most_s).all():  # NaN is not either
+    """Round to whole microseconds; SsacError for nan, inf and times apparently not in seconds."""
+    most_s = 2.0**62 / US_PER_S  # so that whole microseconds fit in 64 bits
+    if not (np.abs(t_s) < most_s).all():  # true of NaN too
         raise SsacError(
             f"{path}: times must be finite, got nan, inf or more than {most_s:g} s: convert the "
             "file again"

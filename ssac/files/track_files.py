@@ -1,7 +1,7 @@
 """Track files: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
 
-Times [s] are of the camera's own clock, points [px] of the distorted image. Rows are of one object,
-in time order; none where it was not seen. A ROS bag's topic of points serves too (`ros_bags`).
+Times [s] are on the camera's own clock, points [px] in the distorted image. Rows follow one object
+in time order, with none while it is unseen. A ROS bag's topic of points serves too (`ros_bags`).
 """
 
 import csv
@@ -32,7 +32,7 @@ def is_track_file(path: Path) -> bool:
 
 
 def load_track(path: Path | str) -> PointTrack:
-    """Read a track file; `ssac.points.check_track` checks its values."""
+    """Read a track file or a bag's topic of points; `ssac.points.check_track` checks its values."""
     import pandas as pd  # here, as it takes long: recordings of events do without it
 
     path = Path(path)
@@ -66,7 +66,7 @@ def load_track(path: Path | str) -> PointTrack:
 
 
 def save_track(path: Path | str, track: PointTrack) -> None:
-    """Write a track file, times to 0.1 us and pixels to 1e-4; it appears when it is complete."""
+    """Write a track file, times to 0.1 us and points to 1e-4 px; it appears when complete."""
     names, columns = [*TRACK_COLUMNS], [track.times_s, *track.points_px.T]
     if track.sigmas_px is not None:
         names, columns = [*names, _SIGMA], [*columns, track.sigmas_px]
@@ -76,7 +76,7 @@ def save_track(path: Path | str, track: PointTrack) -> None:
 
 
 def _check_fields(path: Path, n_columns: int) -> None:
-    """Raise SsacError if a row has more fields than there are columns: pandas drops the last."""
+    """Raise SsacError if a row has more fields than columns, as pandas drops the last ones."""
     with path.open(encoding="utf-8") as file:
         for k, line in enumerate(file):
             n_fields = line.rstrip(", \t\r\n").count(",") + 1

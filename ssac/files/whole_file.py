@@ -1,7 +1,7 @@
 """Files that appear under their names only when they are complete, and never over an input.
 
-They are written under a temporary name in the same folder, .NAME.HOST.PROCESS.RANDOM.part, so that
-what a killed process left behind can be told from what another one is just writing, and be removed.
+They are written under a temporary name in the same folder, .NAME.HOST.PROCESS.RANDOM.part. By it, a
+file that a killed process left behind can be told from one that is being written, and be removed.
 `sim.storage` gives folders such names.
 """
 
@@ -22,15 +22,15 @@ from ssac.errors import SsacError, WriteError
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 LEFT_OVER_S = 86_400.0
-"""Time without a write after which a temporary file of another host counts as left over."""
+"""Time since the last write after which a temporary file of another host counts as left over."""
 
 _MADE = re.compile(r"\..*\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]{32}\.[a-z]+", re.S)
 
-_NAME_LENGTH = 32  # letters kept, of up to 4 bytes each: a file's name has 255 bytes at most
+_NAME_LENGTH = 32  # characters kept, of up to 4 bytes each: file names have at most 255 bytes
 
 
 def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> None:
-    """Raise SsacError unless each output can be written: none is an input, and no two one file."""
+    """Raise SsacError unless each output can be written, is no input and is named only once."""
     named: set[Path] = set()
     for output in outputs:
         if output is None:
@@ -47,10 +47,10 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder to write to; rename it to `path` at the end.
+    """Yield a temporary path in the same folder to write to; rename that file to `path` at the end.
 
     If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
-    WriteError, which names `path`, if it cannot be written, as on a full disk.
+    WriteError, which names `path`, if the file cannot be written, as on a full disk.
     """
     temporary = temporary_path(path)
     try:
@@ -58,13 +58,13 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         if error.filename is not None and str(error.filename) != str(temporary):
-            raise  # about another file
+            raise  # the error is about another file
         raise WriteError(
             f"{path}: could not be written ({error.strerror or ' '.join(str(error).split())}): "
             "make room, or name another place"
         ) from error
     finally:
-        with suppress(OSError):  # of a disk that is gone
+        with suppress(OSError):  # the disk may be gone
             temporary.unlink(missing_ok=True)
 
 
@@ -75,7 +75,7 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def check_writable(path: Path, n_bytes: int = 0) -> None:
-    """Raise WriteError, before any work is done, when a file of so many bytes cannot be written."""
+    """Raise WriteError, before any work is done, if a file of `n_bytes` cannot be written."""
     if path.is_dir():
         raise WriteError(f"{path}: is a folder: name a file to write")
     check_folder(path.parent, n_bytes)
@@ -90,7 +90,7 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
         raise WriteError(f"{folder}: {there} is a file: name a folder")
     if not os.access(there, os.W_OK | os.X_OK):
         raise WriteError(f"{folder}: {there} cannot be written to: name another place")
-    # Less than a megabyte is a full disk: results are smaller, but there are several.
+    # A disk with under a megabyte free counts as full: results are smaller, but there are several.
     free, needed = shutil.disk_usage(there).free, max(n_bytes, 1 << 20)
     if free < needed:
         raise WriteError(
@@ -101,7 +101,7 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
 
 @cache
 def host() -> str:
-    """Name the scope in which a process id is unique: a machine since its boot, or a container."""
+    """Name the scope in which process ids are unique: a machine since its boot, or a container."""
     node = platform.node()
     place = [node]
     with suppress(OSError):  # not Linux
@@ -119,9 +119,9 @@ def temporary_path(path: Path) -> Path:
 
 
 def is_left_over(path: Path) -> bool:
-    """Whether a path is a temporary one of ours that no process writes to any more.
+    """Whether a path is a temporary path of this package to which no process writes.
 
-    On this host the process that made it has ended; of other hosts only the last write is known.
+    The process that made it has ended or, on another host, has written nothing for `LEFT_OVER_S`.
     """
     made = _MADE.fullmatch(path.name)
     if made is None:
@@ -137,7 +137,7 @@ def remove_left_over(folder: Path, name: str = "") -> None:
     for path in folder.glob(f"{prefix}*"):
         if not is_left_over(path):
             continue
-        with suppress(OSError):  # another one was faster
+        with suppress(OSError):  # another process removed it first
             if path.is_dir():
                 shutil.rmtree(path)
             else:
@@ -145,7 +145,7 @@ def remove_left_over(folder: Path, name: str = "") -> None:
 
 
 def _idle_s(path: Path) -> float:
-    """Time since a file, or anything in a folder, was written [s]; 0 when it is gone."""
+    """Return the time [s] since a file, or anything in a folder, was written; 0 if it is gone."""
     try:
         return time.time() - max(one.stat().st_mtime for one in (path, *path.rglob("*")))
     except OSError:
@@ -153,12 +153,12 @@ def _idle_s(path: Path) -> float:
 
 
 def _runs(process: int) -> bool:
-    """Whether the process of this host with this id has not ended."""
+    """Whether the process with this id on this host still runs."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # somebody else's
+    except OSError:  # the process of another user
         return True
     try:  # a process that has ended keeps its id until its parent waits for it
         state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
