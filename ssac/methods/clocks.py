@@ -188,7 +188,7 @@ class ClockModel:
         return float(abs(alone.parameters.columns[0]) / std)
 
     def _functions(self, times_s: Array) -> list[Array]:
-        """Return the clock's changes (n,) at times (n,) [s], per unit of each of its parameters."""
+        """Return the clock's changes (n,) at times (n,) [s], per unit of skew and of each mode."""
         if not len(self.deviations):
             return []
         modes = [np.interp(times_s, self.knots_s, mode) for mode in self.modes.T]
@@ -361,6 +361,6 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def _common_s(estimate: Estimate, views: TwoViews) -> tuple[float, float]:
-    """Start and end [s] of the common time at an estimate's offset, or mid-search without one."""
+    """Start and end [s] of the common time at an estimate's offset, else at mid-interval."""
     known = np.isfinite(estimate.t_d_s)
     return views.common_s(float(estimate.t_d_s if known else np.mean(views.config.offsets_s)))

@@ -25,7 +25,7 @@ class Signal:
 
 
 def counted(times_us: IntArray, bin_us: int) -> Signal:
-    """Count ascending times (n,) [us] in each bin from the first to the last; there may be none."""
+    """Count ascending times (n,) [us] in each bin from the first to the last; n may be 0."""
     if len(times_us) == 0:
         return Signal(0, np.empty(0))
     bins = times_us // bin_us

@@ -20,7 +20,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-if TYPE_CHECKING:  # what takes long to import is not needed to list methods
+if TYPE_CHECKING:  # slow imports, which lists of methods do not need
     from ssac.camera import Rig
     from ssac.config import Config
     from ssac.estimate import Estimate
@@ -58,10 +58,10 @@ class Method:
     starts_from: str = ""  # method whose estimate it refines
     keeps_start: str = ""  # "module:function", true of views for which the start is the answer
     takes_means: bool = False  # only frames' means count: images of one pixel serve as well
-    follows_clock: bool = False  # an offset of camera 2's clock adds to t_d, and changes no more
+    follows_clock: bool = False  # a delay of camera 2's clock adds to t_d, and changes nothing else
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
     needs_events: bool = False  # a track of points cannot replace them
-    finds_readout: bool = False  # of a rolling shutter, where the rig does not state it exactly
+    finds_readout: bool = False  # estimates a rolling shutter's, where the rig leaves it uncertain
     of_one_object: bool = False  # where several things move, it gets the events of one of them
 
     def rig_of(self, rig: "Rig") -> "Rig":

@@ -72,7 +72,7 @@ class Refinement(ABC):
 
     @abstractmethod
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Return the distances' changes (n, m) by a deviation of m errors no residual shows."""
+        """Return the distances' changes (n, m) by 1 sigma of m errors that no residual shows."""
 
     def estimate(self, R: Array, t: Array) -> Estimate:
         """Refine offset and pose; with a known pose the offset alone, without `covariance`."""

@@ -28,12 +28,12 @@ from ssac.track.silhouette import Images
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """The object's silhouettes in one view, and what they tell, at n times of its own clock."""
+    """The object's silhouettes in one view and their moments, at n times of that view's clock."""
 
     K: Array  # (3, 3)
     times_s: Array  # (n,)
-    centres: PointMotion  # of area
-    spreads_px2: Array  # (n, 3)
+    centres: PointMotion  # centres of area
+    spreads_px2: Array  # (n, 3) second moments xx, xy, yy
     images: Images
 
 
@@ -83,7 +83,7 @@ def _shapes_of(views: TwoViews) -> tuple[_Shape, _Shape] | str:
     for k, clean in enumerate(views.cleans, start=1):
         try:
             shaped = shaped_track_of(clean, views.config)
-        except SsacError:  # of a window that shows no object
+        except SsacError:  # no window shows an object
             return ""
         shape = "" if shaped is None else _shape_of(shaped, views, k)
         if isinstance(shape, str):

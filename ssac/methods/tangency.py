@@ -166,7 +166,7 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 
 
 def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
-    """Refine by tangents `joint_from`'s estimate of positions, or where it refuses the search's."""
+    """Refine by tangents the estimate of `joint_from` or, where that is refused, the search's."""
     assert start.start is not None
     search, rules = start.start.start, views.rules.verdict
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
@@ -187,7 +187,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
         return start
 
     def refined(search: Estimate, positions: TwoViews) -> Estimate:
-        return refine_tangents(refine(search, positions), views)  # positions lead to the tangents
+        return refine_tangents(refine(search, positions), views)  # positions first
 
     found = certain(Choice(positions, refined, by_own_pairs=True).settled(search), rules)
     return with_body(found, views) if found.status == Status.OK else start
@@ -327,7 +327,7 @@ class _OfTangents(Refinement):
             lines1 = epipolar_lines_1(residuals.F, residuals.p2_px)
             lines2 = epipolar_lines_1(residuals.F.T, residuals.p1_px)
             slopes1, slopes2 = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines1, lines2))
-            outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # of distances, a pixel
+            outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # change of distance per px
             wide_px = rules.hidden_width * robust_deviation(residuals.distances_px[~of_body])
             errors = wide_px * outward[:, None] * (of_side[:, :1] - of_side[:, 1:])
         if pairs.kinds is not None:

@@ -186,7 +186,7 @@ def quantum_s(camera: Observation) -> float:
 
 
 def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
-    """Widen the offset's deviation by what the rounding of times may shift it.
+    """Widen the offset's deviation by the shift that the rounding of times may cause.
 
     Times truncated to a step of q are off by q / 2 on average, rounded ones are not: +-1.96
     deviations of a uniform distribution of width q cover both.

@@ -196,7 +196,7 @@ class _Scan:
 
     rate: float
     lags: IntArray  # (m,) index in grid 2 less index in grid 1
-    shift: int  # added to a lag, it gives steps of time
+    shift: int  # first step of grid 2 less that of grid 1; lag + shift is a delay in steps
     costs: Array  # (m,) weighted: the less common path, the higher
     most: int  # largest number of pairs at any lag
 

@@ -34,7 +34,7 @@ class ShapedTrack:
 
 
 def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
-    """Return `shaped_track_of_events`, cached, for two views; None if noise is removed for good."""
+    """Return `shaped_track_of_events` for two views, cached; None where the noise was not kept."""
     rules = config.rules
     seen = replace(rules, track=replace(rules.track, step_s=rules.body.seen_step_s))
     config = replace(config, rules=seen)

@@ -6,7 +6,7 @@ pieces of paths are taken that one epipolar geometry and one offset explain in b
 All offsets are tried in steps of a bin. At each, a piece of one view and a piece of the other, seen
 at the same time, are a pair. Each of the longest pairs, and every two of them, give an F: one pair
 often fits many. The hypotheses, each an offset and an F, are first ranked by how long any pieces
-bear them out, and the best then by how long pieces that may be one object's do.
+support them, and the best then by how long pieces that may be one object's do.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,12 +35,12 @@ class Match:
     lag: int  # t_d in half bins, as if both recordings started together
     F: Array  # (3, 3)
     pairs: tuple[tuple[int, int], ...]  # numbers of pieces of camera 1 and of camera 2
-    common: int  # half bins that the pairs have in common
+    common: int  # half bins in which both pieces of a pair are seen, summed over the pairs
     n_events: float  # of all these pieces
-    distance_px: float  # median Sampson distance from F
+    distance_px: float  # median Sampson distance of the pairs' positions from F
 
 
-SCALE_PX = 100.0  # that makes coordinates about 1, as Hartley's normalisation does
+SCALE_PX = 100.0  # unit that makes coordinates about 1, as Hartley's normalisation does
 
 
 class _Matching:

@@ -31,7 +31,7 @@ class Start:
 
     found: AllOffsets
     refusal: Refusal | None = None
-    tried_rates: bool = False  # then the guess's rate is about right
+    tried_rates: bool = False  # rates were searched or refined, so the guess's is about right
 
     @property
     def guess(self) -> Guess:

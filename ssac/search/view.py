@@ -48,7 +48,7 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
     """Tell in which steps of a motion's span it is valid; by default, choose the step."""
     start_s, end_s = motion.span_s
     length_s = max(end_s - start_s, 0.0) if np.isfinite(end_s - start_s) else 0.0
-    if step_s is None:  # windows of events tell no finer
+    if step_s is None:  # windows of events resolve no finer
         step_s = max(0.02, length_s / 50_000)
     times_s = start_s + step_s * (np.arange(int(length_s / step_s), dtype=np.float64) + 0.5)
     return Seen(start_s, step_s, motion.at(times_s).valid)
