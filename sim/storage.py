@@ -109,12 +109,11 @@ class CameraFiles:
         """Write the events and close the file."""
         if self._text_path is not None:
             save_events_text(self.camera, self._events, self._text_path)
-        chunks = {"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),), **_EVENT_CODEC}
+        about: dict[str, Any] = {"shape": (self.n_events,)}
+        if self.n_events:
+            about |= {"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),), **_EVENT_CODEC}
         for name in ("t", "x", "y", "p"):
-            about = {"shape": (self.n_events,), "dtype": EVENT_DTYPE[name]}
-            column = self.file.create_dataset(
-                f"events/{name}", **about, **(chunks if self.n_events else {})
-            )
+            column = self.file.create_dataset(f"events/{name}", dtype=EVENT_DTYPE[name], **about)
             start = 0
             for block in self._events:  # not all at once, which would take as much memory again
                 column[start : start + len(block)] = block[name]

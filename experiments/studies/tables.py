@@ -176,11 +176,8 @@ def largest(results: Results, symbol: str) -> str:
 
 def share_of_papers(results: Results, symbol: str) -> str:
     """Give the mean error of `tangency` over that of the paper's SSAC, and its most in a cell."""
-    cell = ["duration_s", "angle_deg", "t_d_ms"]
-    rows = results.rows("comparison", quantity=PUBLISHED[f"ssac.{symbol}"])
-    papers = rows.set_index(cell)["published_mean"]
-    runs = answered(results.rows("runs", method="tangency"))
-    ours = runs.groupby(cell)[SYMBOLS[symbol].column].mean()
+    papers = results.column("comparison", "published_mean", quantity=PUBLISHED[f"ssac.{symbol}"])
+    ours = np.array(cell_means(results, "tangency", SYMBOLS[symbol].column))  # in the same order
     return f"{ours.mean() / papers.mean():.2f} (at most {(ours / papers).max():.2f})"
 
 

@@ -238,6 +238,7 @@ def counts_of(answer: Answer) -> str:
     if answer.estimate.status != "ok":  # the method may have stopped before it had its own pairs
         return "pairs"
     counts = Method.counts if answer.of_start else answer.method.counts
+    # A body's pairs, which are named after a comma, are there only if it has joined.
     return counts.partition(",")[0] if answer.estimate.without_body else counts
 
 
