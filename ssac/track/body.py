@@ -202,8 +202,7 @@ def _instants(
 
 def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRules) -> Voxels:
     """Keep the voxels of a grid that at least this share of the images covers."""
-    reach = rules.reach_sizes * size
-    along = np.arange(-reach, reach + step, step)
+    along = step * np.arange(-rules.voxels_across, rules.voxels_across + 1)
     up = along[np.abs(along) <= rules.thickness_sizes * size]
     grid = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
     voxels = grid[seen_shares(grid, rules.covered_share, flat) >= share]
@@ -325,7 +324,7 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
             ):
                 seen[j] += weight * by_image[row, col]
                 shown[j] += weight * by_drawn[row, col]
-    return np.asarray(densities * seen / shown)
+    return _rounded(densities * seen / shown)
 
 
 @numba.njit(cache=True)
@@ -365,7 +364,7 @@ def registered(
                 moves[k] += _within(own[k] @ (left[k] - mixed[k] @ turn), _MOST_MOVE_PX)
             found[i] = found[i] @ _turned(turn)
             costs[i] = cost / whole
-    return found, costs
+    return _rounded(found), _rounded(costs)
 
 
 @numba.njit(cache=True)
@@ -383,7 +382,13 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
             step = np.linalg.solve(J[3:, 3:] + _LEAST_CURVATURE * np.eye(2), r[3:])
             moves[i] += _within(step, _MOST_MOVE_PX)
             costs[i] = squares / (all_squares + _NONE)
-    return moves, costs
+    return moves, _rounded(costs)
+
+
+@numba.njit(cache=True)
+def _rounded(values: NDArray[Any]) -> NDArray[Any]:
+    """Round by less than images resolve, so that no processor's own last digit decides."""
+    return np.round(values, 6)
 
 
 @numba.njit(cache=True)

@@ -114,32 +114,34 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
     both = first[:, :, None] * second[:, None, :]
     both += both.transpose(0, 2, 1)
     basis = np.linalg.inv(np.stack([first, second, np.cross(first, second)], axis=2)[places])
-    within = basis @ told[places] @ basis.transpose(0, 2, 1)
+    # In units of the size, and rounded: else the last digits, other ones on each processor, decide.
     size = float(np.sqrt(np.median(np.trace(told[places], axis1=1, axis2=2))))
+    told = np.round(told / size**2, 4)
+    within = basis @ told[places] @ basis.transpose(0, 2, 1)
     # Bounds where the least variance is zero, by the Schur complement of the normal's variance c.
-    a, b, c = (np.maximum(within[:, k, k], (rules.open_least * size) ** 2) for k in range(3))
+    a, b, c = (np.maximum(within[:, k, k], rules.open_least**2) for k in range(3))
     p, q = (np.clip(within[:, k, 2], -np.sqrt(d * c), np.sqrt(d * c)) for k, d in ((0, a), (1, b)))
     half = np.sqrt(np.maximum(a - p**2 / c, 0.0) * np.maximum(b - q**2 / c, 0.0))
     lanes = np.linspace(-1.0, 1.0, rules.open_values)
-    amounts = (p * q / c - within[:, 0, 1])[:, None] + half[:, None] * lanes
-    tried = told[places, None] + amounts[..., None, None] * both[places, None]
-    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(tried), 0.0))
-    flat = tried.reshape(*amounts.shape, 9)[..., [0, 1, 2, 4, 5, 8]] / size**2
+    amounts = np.round((p * q / c - within[:, 0, 1])[:, None] + half[:, None] * lanes, 4)
+    tried = np.round(told[places, None] + amounts[..., None, None] * both[places, None], 6)
+    deviations = np.round(np.sqrt(np.maximum(np.linalg.eigvalsh(tried), 0.0)), 6)
+    flat = tried.reshape(*amounts.shape, 9)[..., [0, 1, 2, 4, 5, 8]]
     least = np.inf
     chosen: IntArray = np.zeros(len(places), np.int64)
     for start in rules.open_starts:
         shape = np.array(start)
         for _ in range(rules.open_rounds):
-            found, cost = _smoothest(flat, deviations / size, shape, rules.open_change)
+            found, cost = _smoothest(flat, deviations, shape, rules.open_change)
             before = shape
-            shape = np.median(deviations[np.arange(len(places)), found], axis=0) / size
+            shape = np.median(deviations[np.arange(len(places)), found], axis=0)
             if np.max(np.abs(shape - before)) < rules.open_settled:
                 break
         if cost < least:
             least, chosen = cost, found
     amount = np.interp(np.arange(len(told)), places, amounts[np.arange(len(places)), chosen])
     amount = gaussian_filter1d(amount, 0.5 * step)
-    return np.asarray(told + amount[:, None, None] * both)
+    return np.asarray(size**2 * (told + amount[:, None, None] * both))
 
 
 @numba.njit(cache=True)

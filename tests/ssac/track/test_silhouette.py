@@ -11,7 +11,13 @@ from ssac.camera import Camera
 from ssac.events import events_from_arrays
 from ssac.rules import BodyRules, SilhouetteRules
 from ssac.track.body import Look, body_moves
-from ssac.track.moments import View, perspective_shifts, second_moments
+from ssac.track.moments import (
+    View,
+    image_by_place,
+    moments_of_two,
+    perspective_shifts,
+    second_moments,
+)
 from ssac.track.silhouette import Silhouettes, _bare_us, _level_at, silhouettes
 from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 from tests.ssac.cluttered import merged, noise
@@ -296,6 +302,28 @@ def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
     for k, move in zip(order, moves, strict=True):
         # Sums are in another order, and axes may point the other way: voxels are then others.
         assert np.nanmax(np.abs(move - found("body")[k])) < 0.05
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 3)])
+def test_last_digits_decide_nothing_of_the_moments_of_two_views(pair: tuple[int, int]) -> None:
+    looks, moments, _ = drawn("body")
+
+    def found(off: float) -> np.ndarray:
+        rng, other = np.random.default_rng(5), np.random.default_rng(6)
+        views = []
+        for k in pair:
+            R, focal_px, points = looks[k].R, looks[k].focal_px, looks[k].points
+            by_place = image_by_place(R, focal_px, points)
+            spreads = (by_place @ moments @ by_place.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
+            # Noise leaves some without any depth, where a root makes 1e-16 to 1e-8.
+            spreads = spreads + 0.6 * spreads.mean() * rng.standard_normal(spreads.shape)
+            spreads *= 1.0 + off * other.standard_normal(spreads.shape)
+            views.append(View(R, focal_px, points, spreads))
+        return moments_of_two(views, 2.0, 1, RULES)
+
+    # Without rounding, 6e-9 of the largest moment.
+    exact = found(0.0)
+    assert found(1e-13) == pytest.approx(exact, rel=0.0, abs=1e-10 * np.abs(exact).max())
 
 
 def test_too_few_moments_are_refused() -> None:
