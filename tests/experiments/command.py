@@ -1,4 +1,4 @@
-"""A command line of `ssac`, run within the test; what it raises comes out."""
+"""Command lines of `ssac`, run in the process of the test; exceptions reach the test."""
 
 from typer.testing import CliRunner
 
@@ -6,7 +6,7 @@ from experiments.cli import app
 
 
 def run(*words: object) -> str:
-    """Run one that ends well, and give what it said."""
+    """Run a command that must succeed, and return its output."""
     result = CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output

@@ -7,7 +7,7 @@ from tests.experiments.reported import record_flight
 
 @pytest.fixture(scope="session")
 def flight_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 10 s that nobody changes."""
+    """A recording of 10 s, which no test may change."""
     folder = tmp_path_factory.mktemp("flight")
     record_flight(folder)
     return folder

@@ -1,4 +1,4 @@
-"""What the report is made of: results with made-up numbers, and a recording without OpenGL."""
+"""Inputs for tests of the report: results with made-up numbers, a recording without OpenGL."""
 
 import json
 from functools import cache
@@ -38,7 +38,7 @@ PROVENANCE = {
 
 
 def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.DataFrame:
-    """One row for each run of both tables: errors grow with the angle, a few runs fail."""
+    """Return one row per run of both tables: errors grow with the angle, a few runs fail."""
     rng = np.random.default_rng(0)
     angles_deg, t_ds_ms = (30.0, 60.0, 90.0, 120.0, 150.0), (5.0, 50.0, 500.0)
     runs = pd.DataFrame(product((10.0, 20.0), angles_deg, t_ds_ms, range(flights), methods),
@@ -76,7 +76,7 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
 
 
 def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
-    """Write a recording as `sim.storage` does, without an offset; the world is camera 1's frame."""
+    """Write a recording as `sim.storage` does, without an offset; camera 1's frame is the world."""
     folder.mkdir(exist_ok=True)
     scene = make_scene(seed=0, duration_s=duration_s)
     for name, events in zip(("cam1", "cam2"), make_events(scene, 0, size_m=0.4), strict=True):
@@ -106,7 +106,7 @@ T = SCENE.t / np.linalg.norm(SCENE.t)
 
 
 def joint_estimate(error_s: float = 0.0, **values: object) -> Estimate:
-    """What `joint` may find on this flight, where the offset is 50 ms."""
+    """Return a made-up estimate of `joint` for `SCENE`, where the true offset is 50 ms."""
     fields = {
         "t_d_s": 0.05 + error_s, "t_d_std_s": 1e-3, "R": SCENE.R, "t": T,
         "covariance": np.diag([1e-6] + 5 * [1e-4]),
@@ -116,7 +116,7 @@ def joint_estimate(error_s: float = 0.0, **values: object) -> Estimate:
 
 @cache
 def flown(seed: int = 0) -> Pair:
-    """Synthetic cameras whose clocks show the same, with events within the flight alone."""
+    """Return a synthetic pair with a time offset of 0, and only the events during the flight."""
     first, second = (
         Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
         for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)

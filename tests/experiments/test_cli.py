@@ -1,4 +1,4 @@
-"""The table of commands: each is there, is named as its module, and ends with the right code."""
+"""The table of commands: each exists, and wrong input or an interrupt ends in one line."""
 
 import inspect
 import os
@@ -95,7 +95,7 @@ FILES = {
             ("--preset evk4 --noise davis346", "leave one out"),
             ("--noise loud", "expected one of ideal, davis346, got 'loud'"),
             ("--effect latency=1", "expected NAME=VALUE with a name of illuminance_lux"),
-            ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # of the sensor, no effect
+            ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # a sensor field, no effect
             ("--effect latency_s=late", "--effect latency_s: expected a number, got 'late'"),
             ("--effect hot_clusters=1.5", "expected a whole number, got '1.5'"),
             ("--illuminance 9 --effect illuminance_lux=8", "are one: leave one out"),
@@ -130,7 +130,7 @@ def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
     [(signal.SIGINT, "interrupted\n", 130), (signal.SIGTERM, "terminated\n", 143)],
 )
 def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
-    """One line at most, no bar, and none of what was written until then."""
+    """It says so in one line, without a progress bar, and removes the files written until then."""
     command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
@@ -140,7 +140,7 @@ def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
         time.sleep(0.1)
     process.send_signal(number)
     shown = process.communicate(timeout=120)[1].splitlines(keepends=True)
-    # On a slow machine it has said by then how far it was.
+    # On a slow machine lines about the progress may come first.
     assert [line for line in shown if not line.startswith("simulating: ")] == [said]
     assert process.returncode == code
     assert list(tmp_path.iterdir()) == []

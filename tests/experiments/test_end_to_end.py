@@ -1,10 +1,10 @@
-"""Simulated recordings, noise and distortion included, through the estimators, against the truth.
+"""Estimates from simulated recordings, with noise and distortion, compared with the truth.
 
 Flights of 10 s, rendered coarsely. On such short ones the means of the windows stray by 0.5 px from
 the image of a fixed point, the same way for seconds, which leaves errors of up to 0.6 ms, 0.8 deg
 and 0.5 deg in these recordings (`ssac tables` measures them over many flights of 20 s); the
-tolerances are twice that. What else changes nothing (swapped cameras, other lengths, another zero
-of the clock) is tested on synthetic recordings in `tests/ssac`.
+tolerances are twice that. Invariances (swapped cameras, other lengths, another zero of the clock)
+are tested on synthetic recordings in `tests/ssac`.
 """
 
 from dataclasses import replace
@@ -38,13 +38,13 @@ SHORT = SimConfig(
     frames=FrameConfig(rate_hz=0.0),
     sensor=PRESETS["davis346"],
 )
-CLEAN = Config(denoise=False)  # it has been done
+CLEAN = Config(denoise=False)  # the events are denoised already
 
 simulated = cache(partial(simulate, seed=1))
 
 
 def flown(config):
-    """A recording, and what both cameras recorded without noise events."""
+    """Return a recording, and the events of both cameras without noise."""
     recording = simulated(config)
     events = usable_events(*observations(recording), rig_of(recording), Config())
     return recording, [Observation(left) for left in events]
@@ -87,7 +87,7 @@ def test_distortion(model, coefficients):
     found = [method(*cameras, rig, CLEAN) for method in (ssac, joint)]
     for estimate in found:
         assert_close(estimate, recording.truth, config.t_d_s)
-    # With the lens ignored the lines of the same pairs are curved: the test would notice.
+    # Where the distortion is ignored, epipolar lines are curved: the test would notice.
     ideal = replace(rig.cam1, distortion_model="none", distortion_coeffs=())
     ignored = ssac(*cameras, replace(rig, cam1=ideal, cam2=ideal), CLEAN)
     assert ignored.d_avg_px > found[0].d_avg_px
@@ -102,7 +102,7 @@ def test_a_rigid_body_joins_the_tangents_with_noise_and_without(sensor):
 
 
 def test_a_large_object_starts_from_its_silhouettes(tmp_path):
-    cell = drawn(300, 901)  # 74 px wide, for 3.4 s: the mean of its events is off by pixels
+    cell = drawn(300, 901)  # 74 px wide, for 3.4 s: the mean of its events is pixels off
     pair = recorded(cell, Cache(tmp_path))
     truth = truth_of(cell, pair)
     result = sync(pair.cam1, pair.cam2, pair.rig)

@@ -1,4 +1,4 @@
-"""Errors against the angle and in ablations: means, gaps, legends; looks; bytes of a PNG."""
+"""Figures of errors over the angle and in ablations: means, gaps, legends, styles, PNG files."""
 
 import io
 from itertools import product
@@ -89,7 +89,7 @@ def test_the_papers_means_are_pooled_over_offsets() -> None:
 
 
 def test_every_mean_of_ours_and_of_the_paper_is_drawn_where_there_is_one() -> None:
-    """Of the errors that a method gives; of the paper's, of its two methods."""
+    """Ours are drawn for each error that a method gives, the paper's for its two methods."""
     runs = runs_of(10.0, 20.0)
     for axes, error, duration_s in panels_of(error_figure(runs, PUBLISHED)):
         is_offset = error == "t_d_error_ms"
@@ -124,7 +124,7 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     figure = error_figure(runs, PUBLISHED)
     assert labels(figure)[:2] == ["ssac (2 of 120 refused)", "ssac-known (120 of 120 refused)"]
     assert "zncc_e" in labels(figure)
-    assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is only in the legend
+    assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is in the legend alone
     assert style.SURVIVORS[0] in labels(figure)
     hollow = [one for one in figure.axes[0].lines if one.get_markerfacecolor() == "white"]
     assert len(hollow) == 1  # both runs are of one angle
@@ -142,11 +142,11 @@ def test_the_area_under_a_success_curve_counts_the_refused() -> None:
     runs.loc[runs.index[own][: own.sum() // 2], "status"] = "search_bound"
     axes = success_figure(runs).axes[0]
     curves = dict(zip(axes.get_legend_handles_labels()[1], axes.lines, strict=True))
-    x, shares = curves["ssac 37.5"].get_data()  # half of the runs, over three quarters
+    x, shares = curves["ssac 37.5"].get_data()  # half of the runs, over 3/4 of the axis
     assert np.all(x[1:-1] == 0.25)
     assert (shares[0], shares[-1]) == (0.0, 50.0)
     assert set(curves["zncc_e 0.0"].get_ydata()) == {0.0}
-    assert len(success_figure(runs).axes[2].lines) == 2  # of those that give a pose
+    assert len(success_figure(runs).axes[2].lines) == 2  # the methods that give a pose
 
 
 def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
@@ -170,7 +170,7 @@ def test_a_picture_says_nothing_of_the_program_and_keeps_its_colours() -> None:
     with Image.open(io.BytesIO(png_bytes(figure))) as image:
         assert image.size == (style.WIDTH_IN * DPI, 2.0 * DPI)
         assert not {"Software", "Creation Time", "date"} & set(image.info)
-        # The palette holds what was drawn, within what its 96 colours allow.
+        # The palette holds the drawn colour, as closely as its 96 colours allow.
         middle = image.convert("RGB").getpixel((image.width // 2, image.height // 2))
         assert middle == pytest.approx((0xD5, 0x5E, 0x00), abs=4)
 
@@ -184,7 +184,7 @@ def test_no_two_methods_look_alike_and_each_the_same_in_every_company() -> None:
 
 
 def test_no_colour_stands_for_two_things() -> None:
-    """Siblings share theirs, as they differ in their markers."""
+    """Only sibling methods share a colour; their markers differ."""
     methods = {look.color for look in style.method_looks([*METHODS, *"abcd"]).values()}
     named = {"sim.angle_deg": ANGLES_DEG, "sim.spline.duration_s": (10.0, 20.0), "other": range(5)}
     values = [to_hex(style.value_color(name, value, 0.25 * place)).upper()
@@ -223,14 +223,14 @@ def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marke
             own = runs[(runs["method"] == method) & (runs["sim.angle_deg"] == angle_deg)]
             expected = flight_means(own, error, "sim.focal_px")
             np.testing.assert_allclose(line[:, 1], expected["mean"])
-            # Each is moved aside, all of a line alike and none as another.
+            # A line is moved aside as a whole, by a factor of its own.
             assert np.ptp(line[:, 0] / expected.index) == pytest.approx(0.0, abs=1e-9)
         assert len({line[0, 0] for line in lines}) == 3
         dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
         assert [line.get_xdata()[0] for line in dashed] == [200.0]
     title, names = said(figure)
     assert title == "Errors of one flight: focal length"
-    # No bar and no hollow marker is there, and none is explained.
+    # There are no bars and no hollow markers, so the legend explains none.
     assert names == ["30 deg", "90 deg", "150 deg", "default: 200 px"]
     # A method without a pose leaves its axes empty.
     runs.loc[runs["method"] == "ssac", "r_error_deg"] = np.nan
@@ -278,14 +278,14 @@ def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     assert style.SURVIVORS[0] in labels(figure)
     runs.loc[own, "status"] = "too_few_samples"
     figure = ablation_figure(runs, grid)
-    assert style.SURVIVORS[0] not in labels(figure)  # none is left that could be hollow
+    assert style.SURVIVORS[0] not in labels(figure)  # no run is left to draw a hollow marker
     for line in drawn_means(figure.axes[0]):
         assert np.isnan(line[-1, 1])
         assert np.isfinite(line[:-1]).all()
 
 
 def test_means_are_within_a_logarithmic_axis_whatever_their_bars_reach() -> None:
-    """Of two errors, one of them 0, the bar ends at 0."""
+    """The bar of two errors, one of which is 0, reaches down to 0."""
     grid, runs = runs_of_ablation("ablation_speed")
     runs.loc[runs["flight"] == 0, "t_d_error_ms"] = 0.0
     axes = ablation_figure(runs, grid).axes[0]

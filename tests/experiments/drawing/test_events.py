@@ -1,4 +1,4 @@
-"""The paper's Fig. 3 to 5 and the animation, of a synthetic recording."""
+"""The paper's Fig. 3 to 5 and the animation, drawn from a synthetic recording."""
 
 import io
 
@@ -25,17 +25,17 @@ from tests.ssac.synthetic import HEIGHT, WIDTH
 
 @pytest.fixture(scope="module")
 def aligned(recorded):
-    """The synthetic recording with its offset taken away."""
+    """The synthetic recording without its time offset."""
     return load_recording(recorded.folder, -T_D_S)
 
 
 def with_events(chain, events):
-    """The same with other events of camera 1."""
+    """Return a chain like the given one, but with other events of camera 1."""
     return Chain((Observation(events), chain.recorded(1)), chain.rig)
 
 
 def test_fig_5_shows_d_avg_which_is_least_at_the_true_offset(aligned) -> None:
-    """Of a second and of 3 ms on each side. The mean of the events is no fixed point: 2 ms."""
+    """The axes show 1 s and 3 ms each way. Up to 2 ms, as the mean of events is no fixed point."""
     for axes, reach, near in zip(d_avg_figure(aligned).axes, (1.0, 3.0), (5e-3, 2.0), strict=True):
         assert axes.get_xlim() == (-reach, reach)
         curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
@@ -60,14 +60,14 @@ def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
 
 
 def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch) -> None:
-    monkeypatch.setattr("experiments.drawing.events.PICTURES", (1, 2, 1))  # all: in 10 s
+    monkeypatch.setattr("experiments.drawing.events.PICTURES", (1, 2, 1))  # all take 10 s
     moving = Image.open(io.BytesIO(alignment_animation(load_recording(recorded.folder, 0.3))))
     gaps = []
     for number in range(moving.n_frames):
         moving.seek(number)
         views = np.asarray(moving.convert("RGB"), dtype=float)[: moving.height // 2]
         gaps.append(np.count_nonzero(np.abs(views - ImageColor.getrgb(GAP)).max(axis=-1) < 40))
-    shown, before, *_, after = gaps  # first what is shown where nothing moves
+    shown, before, *_, after = gaps  # the first picture is shown where nothing moves
     assert shown == after < 0.2 * before
     assert len(gaps) == 1 + 4
 
@@ -86,11 +86,11 @@ def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
         [int(text.split(",")[0].replace(" ", "")) for text in row[:2]] for row in titles
     )
     length_s = STRETCH_S[1] - STRETCH_S[0]
-    # Random counts: five standard deviations of a Poisson law.
+    # The tolerance is five standard deviations of a Poisson distribution.
     assert raw_noisy - raw == pytest.approx(2e4 * length_s, abs=5 * np.sqrt(2e4 * length_s))
-    # What is left of the noise lies where the object's own events are: a few per cent of them.
+    # The noise that is left lies among the object's events, a few per cent of their number.
     assert kept <= kept_noisy < 1.05 * kept
-    for axes in noisy.axes[:2]:  # the same share is drawn of both
+    for axes in noisy.axes[:2]:  # the same share of both is drawn
         assert len(axes.collections[0].get_offsets()) <= 2 * 15000
 
 
@@ -100,13 +100,13 @@ def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
     away = np.abs(events["t"] - middle_us) < 200_000  # the object stands still for 0.4 s
     gap = with_events(aligned, events[~away])
     times_s, x, _ = preprocessing_figure(gap).axes[2].lines[0].get_data_3d()
-    inside = np.abs(times_s - 1e-6 * middle_us) < 0.17  # with windows of 20 ms on each side
+    inside = np.abs(times_s - 1e-6 * middle_us) < 0.17  # less the half-window of 20 ms and a margin
     assert np.isnan(x[inside]).all()
     assert np.isfinite(x[~inside]).mean() > 0.8
 
 
 def test_fig_4_of_a_flight_without_an_estimate_says_why(aligned) -> None:
-    # Fewer than a window holds, of however thin an object.
+    # Ten events are fewer than any window needs, however thin the object.
     few = [Observation(aligned.recorded(k).events[:10]) for k in range(2)]
     with pytest.raises(SsacError, match=r"no epipolar lines: (too_few_samples|no_common_time)"):
         epipolar_figure(Chain(few, aligned.rig))

@@ -1,4 +1,4 @@
-"""A tiny study, a folder of results as its command leaves it, and damages to a file of these."""
+"""A tiny study for tests, a folder of its results, and ways to damage a file of results."""
 
 import os
 import re
@@ -68,7 +68,7 @@ SQUARES = Study(
 
 
 def write_squares(folder: Path) -> None:
-    """Write what `ssac study squares` does."""
+    """Write the files that `ssac study squares` writes."""
     folder.mkdir(parents=True)
     rows = [
         {"cell": n, **cell.columns, **vars(squared(cell, None))}
@@ -81,7 +81,7 @@ def write_squares(folder: Path) -> None:
 
 
 def process_row(cell: SquareCell, loaded: object) -> SquareRow:
-    """Give the id of this process, which 3 ends."""
+    """Return a row with the id of this process; the number 3 ends the process."""
     if cell.number == 3:
         os._exit(3)
     return SquareRow("ok", "", float(os.getpid()))
@@ -93,7 +93,7 @@ _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 
 
 def double_a_number(path: Path) -> None:
-    """Double the last number that doubling changes."""
+    """Double the last number that is not 0."""
     text = path.read_text(encoding="utf-8")
     last = [found for found in _NUMBER.finditer(text) if float(found.group()) != 0.0][-1]
     doubled = f"{2.0 * float(last.group()):.6g}"

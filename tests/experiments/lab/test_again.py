@@ -1,4 +1,4 @@
-"""Drawing recordings, and putting their runs made anew beside the committed ones."""
+"""Recordings drawn at random, whose repeated runs are compared with the committed ones."""
 
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def test_slow_studies_are_drawn_from_only_if_asked_for():
     assert not slow & {study.name for study in sources_of(studies)}
     assert slow <= {study.name for study in sources_of(studies, slow=True)}
     assert [one.name for one in sources_of(studies, only="fidelity")] == ["fidelity"]
-    assert draw(sources_of(studies, only="renderers"), 9, 0) == []  # another driver draws others
+    assert draw(sources_of(studies, only="renderers"), 9, 0) == []  # OpenGL drivers render unlike
     with pytest.raises(SsacError, match="--only: expected a study of squares, got cubes"):
         sources_of({"squares": SQUARES}, only="cubes")
 
@@ -127,22 +127,22 @@ def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
         ("joint", "n_samples", "350", "349", False),
         ("joint", "n_samples", "350", "350.1", False),
         ("joint", "reason", "", "no reason", False),
-        # As on a processor without AVX-512.
+        # Such differences occur on a processor without AVX-512.
         ("joint", "t_d_error_ms", "0.0658834", "0.0658835", True),
         ("joint", "t_d_estimate_ms", "999999", "1e+06", True),
         ("joint", "r_z_normalised", "-1.00001", "-1", True),
-        # The difference of two that are nearly equal.
+        # The error is the difference of two nearly equal numbers.
         ("joint", "t_d_error_ms", "2.84217e-14", "0", True),
         ("joint", "t_d_error_ms", "3.99794e-05", "3.99771e-05", True),
         ("joint", "n_events_cam1", "1234567", "1.23457e+06", True),  # a count that a table rounds
-        # One that follows a body may differ by a little more.
+        # A method that follows a body may differ by a little more.
         ("tangency", "t_d_error_ms", "0.0658834", "0.0668834", True),
         ("tangency", "n_samples", "1201", "1200", True),
         ("tangency", "t_d_error_ms", "0.0658834", "0.265883", False),
         ("tangency", "n_samples", "1100", "1200", False),
         ("tangency", "n_events_cam1", "1234567", "1234568", False),
         ("tangency", "status", "ok", "search_bound", False),
-        # A reason may differ by the last digit of what was measured, not in a count or a word.
+        # A reason may differ in the last digit of a measured number, not in a count or a word.
         *(
             ("joint", "reason", WORDS.replace(old, new), WORDS, is_same)
             for old, new, is_same in (

@@ -1,4 +1,4 @@
-"""The cache: what an entry depends on, that nothing is made twice or half, and none is damaged."""
+"""The cache: what an entry depends on; entries are made once and whole, and damage is found."""
 
 import shutil
 from dataclasses import replace
@@ -131,7 +131,7 @@ def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_w
     assert cache.size_bytes() == len(text_of_row(ROW))
 
 
-# --- Entries that are no longer what was written ---
+# --- Damaged entries ---
 
 
 def flipped(data: bytes, at: int) -> bytes:
@@ -186,7 +186,7 @@ def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The recording that the cache in `tmp_path` has, with its checksums."""
+    """A recording in the cache in `tmp_path`, with its checksums."""
     made = tmp_path / "recordings" / "abcd"
     made.mkdir(parents=True)
     save_events_h5(made / "cam1.h5", empty_events(), 346, 260)
@@ -202,7 +202,7 @@ def folder(tmp_path, monkeypatch):
         ("cam1.h5", lambda whole: flipped(whole, len(whole) // 2)),
         ("rig.yaml", None),
         ("../abcd.sha256", lambda _: b"[3"),
-        ("../abcd.sha256", None),  # as of a run that was killed just then
+        ("../abcd.sha256", None),  # as after a run that was killed before it wrote them
     ],
 )
 def test_a_damaged_recording_is_made_again(folder, tmp_path, monkeypatch, capsys, file, damage):

@@ -1,4 +1,4 @@
-"""What keys depend on: edits of our files in turn, and the code that a real run calls."""
+"""The code in cache keys: which edits change which keys, and which code a real run calls."""
 
 import ast
 import shutil
@@ -34,9 +34,9 @@ CODES = {
     "refusals": code_of_study("refusal"),
 }
 
-OF_ROWS = {"runs", "bounds", "refusals"}  # which come through the pipeline
+OF_ROWS = {"runs", "bounds", "refusals"}  # keys of rows, which the pipeline computes
 
-OF_EVENTS = {"brightness", "denoised"}  # which do not depend on how a recording was made
+OF_EVENTS = {"brightness", "denoised"}  # keys without the code that makes recordings
 
 
 def digests(tree: SourceTree) -> dict[str, str]:
@@ -45,7 +45,7 @@ def digests(tree: SourceTree) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
-    """A copy of the three packages, read, and its digests; changes of it are put right again."""
+    """Return a copy of the three packages and its digests; tests undo their edits of the copy."""
     root = tmp_path_factory.mktemp("tree")
     for name in ("sim", "ssac", "experiments"):
         shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -54,7 +54,7 @@ def tree(tmp_path_factory):
 
 
 def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, new: str) -> set[str]:
-    """Which keys another text of one file makes new; the other files were read before."""
+    """Return which keys an edit of one file changes; the other files are not read again."""
     file, module = tree.root / path, path.removesuffix(".py").replace("/", ".")
     text = file.read_text()
     assert old in text, path
@@ -68,18 +68,18 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
 @pytest.mark.parametrize(
     ("path", "old", "new", "changed"),
     [
-        # The two faults that the cache did not see when its keys were lists made by hand.
+        # Two edits that keys from hand-made lists of modules would miss.
         ("ssac/track/clean.py", "without_noise(", "(", {"denoised", *OF_ROWS}),
         ("ssac/methods/tangency.py", 'starts_from="joint"', 'starts_from="ssac"', OF_ROWS),
         ("ssac/track/observation.py", "import", "import os\nimport", set(CODES) - {"recordings"}),
-        # How an object moves is no matter of what is left without noise.
+        # The motion of an object does not affect which events are noise.
         ("ssac/track/motion.py", "import numpy", "import os\nimport numpy", OF_ROWS),
         ("ssac/pipeline/api.py", "import", "import os\nimport", set()),
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("experiments/lab/score.py", "1e3", "1e6", {"runs"}),
         ("experiments/lab/recorded.py", "denoised=True", "denoised=False", {"runs"}),
-        # An edit of a lock, a checksum, the cache, the schedule, a drawing or a summary.
+        # Edits of the cache, checksums, the schedule, a drawing or a summary change no number.
         ("experiments/lab/cache.py", "while not", "while 1 and not", set()),
         ("experiments/lab/results.py", "DPI = 220", "DPI = 240", set()),
         ("experiments/lab/schedule.py", "MAX_DEATHS = 2", "MAX_DEATHS = 3", set()),
@@ -93,7 +93,7 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
 )  # fmt: skip
 def test_what_matters_makes_new_keys_and_nothing_else(tree, path, old, new, changed):
     found = changed_by(*tree, path, old, new)
-    if changed == {"runs"}:  # other studies may share it
+    if changed == {"runs"}:  # rows of other studies may use the same code
         assert "runs" in found
         assert found <= OF_ROWS
     else:
@@ -187,7 +187,7 @@ def test_a_row_depends_on_no_network_plot_or_command():
 
 
 def test_packages_only_list_names():
-    """So that what is not taken from an `__init__` need not count."""
+    """So an `__init__` need not count where no name is imported from it."""
     allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr, ast.AnnAssign, ast.FunctionDef,
                ast.If)  # fmt: skip
     for package in ("sim", "ssac", "experiments"):
@@ -197,7 +197,7 @@ def test_packages_only_list_names():
 
 
 def test_no_measure_reaches_a_drawing():
-    """So that another drawing makes no row new."""
+    """So an edit of a drawing makes no row new."""
     names = [
         name
         for name, study in all_studies().items()
@@ -208,7 +208,7 @@ def test_no_measure_reaches_a_drawing():
 
 
 def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
-    """Whatever way it is imported: a call that the imports do not show would be seen here."""
+    """The test would also find a call of code that no import statement shows."""
     folder = tmp_path / "recording"
     record_flight(folder, 4.0)
     monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
@@ -234,7 +234,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
     }
     assert {"ssac.methods.tangency", "ssac.track.denoise"} <= ours
     assert "experiments.lab.score:pose_score" in ours
-    # What names, runs and keeps the entries is no part of them.
+    # The code that names, runs and stores the entries does not affect their content.
     keeping = ("code", "pool", "schedule", "cache", "results", "provenance")
     ours = {name for name in ours if not name.startswith(
         tuple(f"experiments.lab.{file}" for file in keeping))}  # fmt: skip
@@ -242,7 +242,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
 
 
 def defined_at(path: Path, line: int) -> str:
-    """Name a module, of `experiments` with the top-level definition that a line is in."""
+    """Name the module of a line; within `experiments`, also the top-level definition around it."""
     module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     if not module.startswith("experiments"):
         return module

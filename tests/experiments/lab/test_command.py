@@ -1,4 +1,4 @@
-"""What commands that run cells share."""
+"""The shared parts of all commands that run cells."""
 
 import json
 import os
@@ -89,7 +89,7 @@ def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = 
 
 
 def files_of(parts, tmp_path: Path, monkeypatch, *words: str) -> Path:
-    """Run a command made of some studies; where its files are."""
+    """Run a command made of some studies; return the folder of its files."""
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     monkeypatch.setattr(study, "context_or_none", lambda: None)
     app = typer.Typer()

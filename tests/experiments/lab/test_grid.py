@@ -35,7 +35,7 @@ def test_the_tables_are_the_papers_grid():
         (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.t_d_s, cell.flight, cell.method)
         for cell in cells
     ) == sorted((*where, method) for where in at for method in METHODS)
-    # 300 recordings: offsets and methods share theirs.
+    # There are 300 recordings: all offsets and methods share one.
     assert len({(cell.sim, cell.seed) for cell in cells}) == 300
     for cell in cells:
         low, high = cell.estimator.interval_s
@@ -43,14 +43,14 @@ def test_the_tables_are_the_papers_grid():
 
 
 def test_a_seed_is_a_fixed_hash_of_duration_angle_and_flight():
-    # Of the committed recordings: another hash would ask for other flights.
+    # These are seeds of committed recordings: another hash would mean other flights.
     assert flight_seed(10.0, 30.0, 0) == 1328313481
     assert flight_seed(20, 150, 9) == flight_seed(20.0, 150.0, 9) == 1883054829
     assert flight_seed(10.0, 30.0, 0, base_seed=1) != flight_seed(10.0, 30.0, 0)
 
 
 def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
-    """So that offsets, methods and values of a parameter are compared on the same flights."""
+    """So offsets, methods and values of a parameter are compared on the same flights."""
     cells = grid_from_content("small", SMALL).cells()
     assert len(cells) == 2 * 2 * 2 * 2
     assert all(cell.sim.t_d_s == 0.0 for cell in cells)
@@ -102,7 +102,7 @@ def test_a_file_of_the_project_is_found_from_any_folder(tmp_path, monkeypatch):
              for file in cell.sim.background_files}  # fmt: skip
     assert {file.stem for file in files} == {"clouds", "houses", "leaves"}
     assert all(file.is_file() for file in files)
-    assert len({content(file) for file in files}) == 3  # what a recording is kept by
+    assert len({content(file) for file in files}) == 3  # part of a recording's key
 
 
 def test_parameters_reach_the_field_that_they_name():
@@ -120,7 +120,7 @@ def test_parameters_reach_the_field_that_they_name():
     sim, ssac = configs_of({name: given for name, (given, _) in values.items()})
     for name, (_, expected) in values.items():
         found = attrgetter(name)(SimpleNamespace(sim=sim, ssac=ssac))
-        assert repr(found) == repr(expected), name  # of its type, too
+        assert repr(found) == repr(expected), name  # the types are equal, too
     assert configs_of({}) == (SimConfig(), Config())
 
 

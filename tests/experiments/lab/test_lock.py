@@ -1,4 +1,4 @@
-"""Locks of those that are gone; that one holds a lock at a time, `test_study.py` tests."""
+"""Locks whose holder is gone; `test_study.py` tests that a lock has one holder at a time."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ def path(tmp_path):
 
 
 def left_by(path, old, new):
-    """Let a lock be another process's."""
+    """Write the lock of another process: ours, with `old` replaced by `new`; return its text."""
     with claimed(path):
         mine = path.read_text()
     assert mine.count(old) == 1
@@ -30,7 +30,7 @@ def test_what_a_killed_process_held_is_free_at_once(path):
     left = left_by(path, f"pid={os.getpid()}\n", f"pid={ended_process()}\n")
     with claimed(path) as is_ours:
         assert is_ours
-    # And what nobody asks for again is tidied away, also of one that was killed as it began.
+    # Locks that nobody asks for again are removed, also the empty one of a process killed early.
     for text in (left, ""):
         path.write_text(text)
         with claimed(kept):
@@ -41,7 +41,7 @@ def test_what_a_killed_process_held_is_free_at_once(path):
 def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypatch):
     now_s = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
-    text = left_by(path, socket.gethostname(), "elsewhere")  # whose id is one of ours
+    text = left_by(path, socket.gethostname(), "elsewhere")  # its process id is in use on this host
 
     def is_free_after(share: float) -> bool:
         nonlocal now_s

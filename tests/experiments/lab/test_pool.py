@@ -1,6 +1,6 @@
-"""Workers: those that die are replaced, and nothing that a job does takes another with it.
+"""Worker processes: dead ones are replaced, and a job that fails harms no other job.
 
-That they end with a process that is killed is tested in `test_sweep.py`.
+`test_sweep.py` tests that workers end when the process that started them is killed.
 """
 
 import os
@@ -18,7 +18,7 @@ from experiments.lab.pool import DiedError, Pool, Processes
 
 
 class TwoWordsError(Exception):
-    """Pickles, and cannot be unpickled: it is made of two words, and keeps one."""
+    """It can be pickled but not unpickled: its constructor takes two words, and it keeps one."""
 
     def __init__(self, first, second):
         super().__init__(first + second)
@@ -29,7 +29,7 @@ def oddly_faulty():
 
 
 class Unreadable:
-    """Raises where it is unpickled."""
+    """It raises an error when it is unpickled."""
 
     def __reduce__(self):
         return int, ("a bug",)
@@ -67,7 +67,7 @@ def test_every_job_ends_once_with_what_it_returned_or_raised(pool):
     [
         (partial(signal.raise_signal, signal.SIGKILL), DiedError, "ended by SIGKILL"),
         (partial(os._exit, 3), DiedError, "ended with code 3"),
-        (Lock, TypeError, "lock"),  # cannot be sent back
+        (Lock, TypeError, "lock"),  # a result that cannot be pickled
         (partial(abs, Unreadable()), ValueError, "a bug"),
         (oddly_faulty, TypeError, "second"),
     ],

@@ -45,12 +45,12 @@ def test_a_pose_is_scored_against_its_covariance():
     pose = pose_score(estimate, R_true, t_true)
     expected = -step / sigmas[1:]
     found = [pose[f"{name}_normalised"] for name in ("r_x", "r_y", "r_z", "t_1", "t_2")]
-    # t moves along its tangent and is then made as long as 1: the third power of 0.005.
+    # t moves along its tangent and is then normalised: an error of the third power of 0.005.
     assert found == pytest.approx(list(expected), abs=1e-3)
     assert pose["r_mahalanobis"] == pytest.approx(np.linalg.norm(expected[:3]), abs=1e-3)
     assert pose["t_mahalanobis"] == pytest.approx(np.linalg.norm(expected[3:]), abs=1e-3)
     assert pose["r_std_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[1:4])))
     assert pose["t_std_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[4:])))
-    assert np.linalg.norm(pose_step(R, t, R, -t)[3:]) == pytest.approx(np.pi)  # an opposite one
+    assert np.linalg.norm(pose_step(R, t, R, -t)[3:]) == pytest.approx(np.pi)  # opposite directions
     without = pose_score(Estimate("m", t_d_s=0.05, R=R, t=t), R_true, t_true)
     assert np.isnan(list(without.values())).all()

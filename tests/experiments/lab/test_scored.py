@@ -1,4 +1,4 @@
-"""What is found once for many rows, denoised events and offsets, gives the rows of runs in full."""
+"""Rows that share denoised events or estimates are the same as the rows of full runs."""
 
 from dataclasses import fields, replace
 
@@ -31,7 +31,7 @@ def pair(recorded):
 
 
 def of_same(pair):
-    """Methods on the same pair, of which nothing was found yet, as a study has it."""
+    """Return a chain on the same pair, as a study has it, without results of methods yet."""
     return Chain([replace(pair.clean(k), name="") for k in range(2)], pair.rig)
 
 
@@ -133,12 +133,12 @@ def test_a_pair_comes_back_as_denoising_left_it(recorded, tmp_path, monkeypatch,
         for one, other in zip(pair, left, strict=True):
             assert_same(one, other)
         assert [one.n_recorded for one in pair] == [len(cam1.events), len(cam2.events)]
-    assert len(calls) == 1  # the second time nothing of the recording is read
+    assert len(calls) == 1  # the second pair comes from the cache
 
 
 def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, tmp_path, monkeypatch):
     cam1, cam2, rig = load_pair(recorded.folder)
-    few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # none near another
+    few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # no event is near another
     monkeypatch.setattr(module, "load_pair", lambda _: Pair(cam1, few, rig))
     for _ in range(2):
         pair = clean_pair(recorded.folder, HOW, Cache(tmp_path))

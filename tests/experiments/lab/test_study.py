@@ -1,4 +1,4 @@
-"""Cells to rows to files: resumed, in shards, with crashes, with others on it, with deaths.
+"""Cells become rows and files: resumed, in shards, with crashes, other runs and dead workers.
 
 Real processes that share a cache or die are in `test_sweep.py`.
 """
@@ -30,12 +30,12 @@ from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 
 NUMBERS = range(4)
 LOADED: list[int] = []  # numbers whose recordings were loaded
-FAULTS: dict[str, BaseException] = {}  # what is raised, by "number 3" or "power 2"
+FAULTS: dict[str, BaseException] = {}  # errors to raise, by "number 3" or "power 2"
 
 
 @dataclass(frozen=True)
 class PowerCell(SquareCell):
-    """A power of a number, over 7; each number is a recording."""
+    """A power of a number, divided by 7; each number stands for a recording."""
 
     power: int
 
@@ -73,7 +73,7 @@ STUDY = replace(
 
 @pytest.fixture(autouse=True)
 def no_gl(monkeypatch):
-    """Numbers need no recordings, so no OpenGL, and stand in no module of ours."""
+    """Replace keys and OpenGL: numbers need no recording, and their code is in none of our keys."""
     LOADED.clear()
     FAULTS.clear()
     monkeypatch.setattr(schedule, "recording_key", lambda sim, seed: f"recording {seed}")
@@ -208,7 +208,7 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path):
         LOADED.clear()
 
 
-# --- Others on it, and workers that die ---
+# --- Other runs on the same recordings, and workers that die ---
 
 
 @pytest.mark.parametrize("finishes", [True, False])
@@ -222,7 +222,7 @@ def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
 
         def sleep(_: float) -> None:
             if 0 not in LOADED:  # the other run takes its time
-                assert LOADED == [1, 2, 3]  # all that is left is its
+                assert LOADED == [1, 2, 3]  # the other run holds all that is left
                 if finishes:
                     schedule.run_task(first, cache, MEASURE)
                 other.close()
@@ -237,7 +237,7 @@ def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
 
 
 class Mortal(Pool):
-    """A pool of two that does its jobs here, and whose workers die when it is told."""
+    """A pool of two that runs its jobs in this process; its workers die as `deaths` says."""
 
     room = 2
 
@@ -270,7 +270,7 @@ def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     assert set(outcome.runs[crashed]["reason"]) == {expected}
     assert set(outcome.runs[~crashed]["status"]) == {"ok"}
     assert "given up" in capsys.readouterr().err
-    # It is not kept: the next run tries it again, and nothing else.
+    # A crash is not cached: the next run repeats that task, and nothing else.
     LOADED.clear()
     assert list(run(tmp_path).runs["square"]) == VALUES
     assert LOADED == [2]

@@ -1,4 +1,4 @@
-"""Real sweeps over a tiny grid: rows, shards, what cannot be done, and whoever dies or is stopped.
+"""Real sweeps over a tiny grid: rows, shards, skipped runs, and processes that die or are stopped.
 
 The flights are short and coarsely rendered: what is tested is the bookkeeping, not the accuracy.
 """
@@ -63,9 +63,9 @@ def started(folder, config, out, cache, *more):
 
 
 def at_work(cache, run):
-    """Wait until somebody works for a run on a recording: the id of that process."""
+    """Wait until a process works on a recording of a run; return the id of the process."""
     while True:
-        with suppress(FileNotFoundError):  # it was given back just then
+        with suppress(FileNotFoundError):  # the lock was just released
             for path in cache.glob("runs/.*.claim"):
                 if found := re.search(r"^pid=(\d+)$", path.read_text(), re.MULTILINE):
                     return int(found[1])
@@ -126,7 +126,7 @@ def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, config,
 
 def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(folder):
     out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
-    longer = folder / "longer.toml"  # so that both are at it when they are interrupted
+    longer = folder / "longer.toml"  # both workers must be busy when they are interrupted
     longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 100"))
     run = started(folder, longer, out, cache, "--workers", "2")
     while len(list(cache.glob("recordings/.*.claim"))) < 2:  # both workers simulate
@@ -134,7 +134,7 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(fol
         time.sleep(0.1)
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes in it
     shown = run.communicate()[1].splitlines()
-    # On a slow machine it has said by then how far it was.
+    # On a slow machine lines about the progress may come first.
     assert [line for line in shown if not line.startswith("longer: ")] == [
         f"stopped: 0 of 3 recordings are done and kept in {cache}; the same command goes on from"
         " there",
@@ -178,7 +178,7 @@ def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end
     processes = [python(folder, "dask", "scheduler", *host, *local)]
     try:
         processes += [python(folder, "dask", "worker", *worker, *local) for _ in "12"]
-        for process in processes:  # one that ended and is not waited for seems to hold its lock
+        for process in processes:  # a zombie process would seem to hold its lock
             threading.Thread(target=process.wait, daemon=True).start()
         while not file.exists():
             assert processes[0].poll() is None

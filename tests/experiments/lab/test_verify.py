@@ -1,4 +1,4 @@
-"""Each file of results is damaged in turn, its checksum made anew, and each time it is found."""
+"""Damage to each file of results in turn is found, even with its checksum made anew."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -85,11 +85,11 @@ def test_another_picture_and_a_file_that_no_command_leaves_are_found(results):
         ('"numpy"', '"numpie"', "it lacks the versions of numpy"),
         ('"renderer"', '"painter"', "it does not say which OpenGL drew"),
         ('"wall_time_s": 1.0', '"wall_time_s": -1.0', "it took -1.0 s"),
-        # Of another shape.
+        # Entries of another form.
         ('"config": {', '"config": null, "was": {', "AttributeError: "),
         ('"versions": {', '"versions": {}, "were": {', "it lacks the versions of "),
         ('"gl": {', '"gl": 3, "was": {', "TypeError: "),
-        # Words on an axis change nothing.
+        # The label of an axis does not count.
         ('"config": {', '"config": {"figure": {"label": "side of a square"},', None),
     ],
 )
@@ -156,8 +156,8 @@ def damaged(tmp_path_factory):
 
 
 UNGUARDED = ("network_runs.csv", "bench_growth.csv", "real_strays.csv", "reasons_runs.csv")
-"""Files whose last number nothing else in the results knows: a Mahalanobis distance of a pose, a
-deviation of a clock's stray, what a bench took, and how many events a camera recorded."""
+"""Files whose last number does not follow from other results: a Mahalanobis distance of a pose, a
+deviation of a clock's stray, an error of t_d, and how many events a camera recorded."""
 
 COMMITTED = [
     pytest.param(study.name, file, id=file)
@@ -170,15 +170,15 @@ COMMITTED = [
 
 @pytest.mark.parametrize(("name", "file"), COMMITTED)
 def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, file):
-    """A row that is gone, doubled or changed: verify sees it, or a page that quotes it is stale."""
+    """A row that is gone, doubled or changed is a fault, or makes a number on a page stale."""
     study, path = all_studies()[name], damaged / file
     is_of_runs = study.runs is not None and file == study.runs.file
     followed = [
         one for one in study.makes if one.file == file or (is_of_runs and ".csv" in one.file)
     ]
-    study = replace(study, makes=tuple(followed))  # what cannot tell is not made again
+    study = replace(study, makes=tuple(followed))  # other files are not made again
     if file.endswith(".csv") and not is_of_runs:
-        study = replace(study, runs=None)  # nor looked at
+        study = replace(study, runs=None)  # and the runs are not checked
     content = path.read_bytes()
     for damage in (delete_a_row, double_a_row, double_a_number):
         if damage is double_a_number and file in UNGUARDED:

@@ -1,4 +1,4 @@
-"""Our tables beside the paper's: the rule of a cell, the ratio of a table, and what both name."""
+"""Our tables compared with the paper's: the verdict on a cell and the ratio over a table."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -52,12 +52,12 @@ def compared(
         (Sample(0.05, 0.02, 10), Sample(0.16, 0.05, 10), "better"),
         (Sample(300.0, 0.0, 4), Sample(17.0, 11.7, 10), "differs"),
         (Sample(12.0, 3.0, 2), Sample(17.0, 0.0, 10), "agrees"),
-        # What rounding to hundredths hides is no difference.
+        # A difference within the rounding to hundredths is none.
         (Sample(0.1649, 0.0, 10), Sample(0.16, 0.0, 10), "agrees"),
         (Sample(0.1551, 0.0, 10), Sample(0.16, 0.0, 10), "agrees"),
         (Sample(0.1651, 0.0, 10), Sample(0.16, 0.0, 10), "differs"),
         (Sample(0.1549, 0.0, 10), Sample(0.16, 0.0, 10), "better"),
-        # Fewer than two runs know no scatter.
+        # Fewer than two runs have no known scatter.
         (Sample(0.16, 0.0, 1), Sample(0.16, 0.1, 10), "differs"),
         (Sample(0.16, 0.0, 0), Sample(0.16, 0.1, 10), "differs"),
     ],
@@ -87,7 +87,7 @@ def test_verdicts_do_not_depend_on_the_unit_and_intervals_mirror(ours, published
 
 
 def mostly_small(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Errors of a correlation that now and then takes a wrong peak, in units of 10 ms."""
+    """Draw errors [ms] of a correlation in steps of 10 ms; 15 % are of a wrong peak."""
     wrong = rng.random(shape) < 0.15
     return 10.0 * np.where(wrong, rng.integers(0, 100, shape), np.rint(rng.exponential(2.0, shape)))
 
@@ -114,16 +114,16 @@ def test_one_distribution_on_both_sides_seldom_disagrees(draw, decimals):
         10.0**-decimals,
         0.95,
     )
-    # 5 %, and three standard errors of a share of 5 % of 2000 cells.
+    # The tolerance is three standard errors of a share of 5 % of 2000 cells.
     assert np.mean(verdicts_of(low, high) != "agrees") < 0.05 + 3 * 0.0049
 
 
 def test_the_published_deviations_are_over_ten_runs():
-    """Ten errors of ZNCC_E, multiples of its 10 ms, that have the published mean and deviation."""
+    """Ten errors of ZNCC_E, whose steps are 10 ms, can have each published mean and deviation."""
     feasible = {0: 0, 1: 0}
     for table in load_published().values():
         for row in table.to_dict("records"):
-            odd = row["t_d_ms"] == 5  # |10 k - 5| are odd multiples of 5, |10 k - 50| of 10
+            odd = row["t_d_ms"] == 5  # |10 k - 5| is an odd multiple of 5, |10 k - 50| one of 10
             unit = 5.0 if odd else 10.0
             total = PUBLISHED_RUNS * row["zncc_e_error_ms_mean"] / unit
             assert total == pytest.approx(round(total))
@@ -135,7 +135,7 @@ def test_the_published_deviations_are_over_ten_runs():
                     for half in (-0.05, 0.05)
                 )
                 sums = np.arange(np.ceil(low - 1e-9), np.floor(high + 1e-9) + 1)
-                # Odd squares are 1 modulo 8; a square is odd just when its root is.
+                # Odd squares are 1 modulo 8; a square is odd exactly when its root is.
                 fits = sums % 8 == PUBLISHED_RUNS % 8 if odd else sums % 2 == round(total) % 2
                 feasible[ddof] += bool(fits.any())
     assert feasible[0] == 30
@@ -225,11 +225,11 @@ def test_an_unusable_published_table_is_named(tmp_path):
         load_published(tmp_path)
 
 
-# --- The ratio over a table's cells: the factor to which it is known, and what bounds it ---
+# --- The ratio over a table's cells: its uncertainty, as a factor ---
 
 
 def drawn(seed: int, n_ours: int) -> pd.DataFrame:
-    """One table's cells: both sides of one skewed distribution, three offsets of an angle alike."""
+    """Draw a table's cells, all from one skewed distribution; three offsets per angle are equal."""
     rng = np.random.default_rng(seed)
     angles_deg = np.repeat((30.0, 60.0, 90.0, 120.0, 150.0), 3)
     part = pd.DataFrame({"angle_deg": angles_deg, "n_ours": n_ours, "first_n": PUBLISHED_RUNS})
@@ -247,7 +247,7 @@ def ratio_of(part: pd.DataFrame) -> float:
 def test_the_interval_holds_the_true_ratio():
     parts = [drawn(seed, 30) for seed in range(300)]
     held = np.mean([abs(np.log(ratio_of(part))) < np.log(ratio_factor(part)) for part in parts])
-    # 95 %, less up to 2 % as the deviations are of ten flights; three standard errors of the share.
+    # 95 %, up to 2 % less for deviations of ten flights, and three standard errors of the share.
     assert 0.95 - 0.02 - 3 * 0.0126 < held < 0.95 + 3 * 0.0126
 
 
@@ -258,7 +258,7 @@ def test_more_flights_narrow_it_and_the_papers_own_bound_it():
     assert factors == sorted(factors, reverse=True)
     assert 1.0 < paper < factors[2]
     assert factors[-1] == pytest.approx(paper)
-    # Neither unit nor scale matters, and offsets are no further flights.
+    # The unit does not matter, and more offsets do not count as more flights.
     scaled = part.copy()
     scaled[["ours_mean", "ours_std"]] *= 1000.0
     assert ratio_factor(scaled) == pytest.approx(ratio_factor(part))
@@ -287,7 +287,7 @@ def test_changed_verdicts_are_counted():
     assert row["first_factor"] > row["factor"] > row["factor_paper"] > 1.0
 
 
-# --- What runs are measured by ---
+# --- The errors of a run ---
 
 
 def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score():

@@ -42,7 +42,7 @@ def test_means_and_deviations_are_over_the_flights():
     errors = RUNS.loc[place("ssac"), "r_error_deg"].to_numpy()
     row = cell(esim_table(RUNS, 10.0))
     assert row["ssac_r_error_deg_mean"] == pytest.approx(np.mean(errors))
-    # Over n, not n - 1.
+    # The deviation is over n, not n - 1.
     assert row["ssac_r_error_deg_std"] == pytest.approx(
         np.sqrt(np.mean(errors**2 - errors.mean() ** 2))
     )
@@ -58,7 +58,7 @@ def test_columns_are_those_of_the_methods_in_order():
         expected.append(f"{name}_failed")
     assert list(esim_table(RUNS, 20.0).columns) == expected
     assert pose_methods(RUNS) == posed
-    # A method that gives a pose at one duration has its columns at all.
+    # A method that gives a pose at one duration has columns of the pose at all durations.
     lost = (RUNS["method"] == "joint") & (RUNS["duration_s"] == 10.0)
     runs = with_status(lost)
     runs.loc[lost, ["r_error_deg", "t_error_deg"]] = np.nan
@@ -95,7 +95,7 @@ def test_runs_survive_being_written_and_read():
     runs.loc[0, ["status", "reason"]] = "crashed", 'a "quoted", reason: nan'
     runs.loc[0, "n_events_cam1"] = 1242193
     text = csv_text(ordered_runs(runs))
-    assert ",1242193," in text  # counts are whole
+    assert ",1242193," in text  # counts are written with all digits
     read = read_table(text)
     assert csv_text(ordered_runs(read)) == text
     assert read.loc[0, "reason"] == 'a "quoted", reason: nan'

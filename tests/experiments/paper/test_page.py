@@ -41,7 +41,7 @@ def test_every_mean_and_every_verdict_is_on_the_page(page):
         means = [column for column in table if column.endswith("_mean")]
         assert len(means) > 10
         for value in table[means].to_numpy().ravel():
-            # Three decimals at most.
+            # Means are shown with one to three decimals.
             assert any(round(float(value), n) in shown for n in (1, 2, 3)), value
         all_rows += rows
     comparison = compared_runs(RUNS)
@@ -51,7 +51,7 @@ def test_every_mean_and_every_verdict_is_on_the_page(page):
     differing = comparison[comparison["verdict"] == "differs"]
     assert len(listed) - 2 == len(differing) > 0
     assert [row[-1] for row in listed[2:]] == [note or "not known" for note in differing["note"]]
-    # Without OpenGL it is still a page.
+    # Where the provenance names no OpenGL, there still is a page.
     without = results_page(RUNS, esim_tables(RUNS), comparison, PROVENANCE | {"gl": None})
     assert "rendered by ?, ?; numpy 2.2.6." in " ".join(without.split())
 

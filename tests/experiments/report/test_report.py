@@ -1,4 +1,4 @@
-"""The report: one whole page, every number from the files; its animation is what was estimated."""
+"""The report: one complete page, every number from the files, an animation of the estimate."""
 
 import html
 import json
@@ -26,7 +26,7 @@ def animation(flight_folder):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    # A method from outside is shown like ours.
+    # A method of another package is shown like ours.
     write_results(folder, made_up_runs((*METHODS, "speedy"), flights=2))
     return folder
 
@@ -37,7 +37,7 @@ def page(folder, animation):
 
 
 def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder, tmp_path):
-    """What these hold, `tests/experiments/paper/test_page.py` says."""
+    """The content of the tables is tested in `tests/experiments/paper/test_page.py`."""
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     shutil.copyfile(folder / "esim_20.provenance.json", tmp_path / "runs.provenance.json")
     results = Results(tmp_path)
@@ -100,7 +100,7 @@ def test_the_headline_is_computed():
     assert (found["best"], found["best_errors"]) == ("joint", [0.0625, 0.25, 0.125])
     assert found["ours"] == runs.loc[runs["method"] == "ssac", "t_d_error_ms"].mean()
     assert (found["published"], found["n_good"], found["n_cells"]) == (0.375, 3, 4)
-    # One run in five is too few for a method to be called the best.
+    # One answered run in four is too few for a method to be called the best.
     runs.loc[joint & (runs["flight"] > 0), "status"] = "search_bound"
     assert report.headline(runs, compared)["best"] not in ("joint", "")
 
@@ -125,13 +125,13 @@ def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
 
 
 def test_the_player_shows_the_offset_that_was_put_in(animation):
-    # The synthetic tracks have about 1 px of noise at 180 px/s: 6 ms in one pair, 1 ms in hundreds.
+    # About 1 px of noise at 180 px/s is 6 ms for one pair of points, and below 1 ms for hundreds.
     assert animation.estimate.t_d_s == pytest.approx(report.T_D_S, abs=1e-3)
     off_s = abs(animation.estimate.t_d_s - report.T_D_S)
     assert animation.errors.t_d_error_ms == pytest.approx(1e3 * off_s)
-    assert animation.errors.r_error_deg < 2.0  # of the same cause: 1 px is 0.3 deg here
+    assert animation.errors.r_error_deg < 2.0  # from the same noise: 1 px is 0.3 deg here
     assert animation.before_px > 20.0
-    assert animation.after_px < 4.0  # 1000 events over 20 px: a mean that is good to 1 px
+    assert animation.after_px < 4.0  # the mean of 1000 events over 20 px is good to 1 px
     (pair,) = animation.player["pairs"]
     assert animation.player["tour"]
     assert (pair["before"], pair["found"]) == (0.0, animation.estimate.t_d_s)

@@ -1,4 +1,4 @@
-"""`ssac demo` and `ssac scene`: what they say of estimates and of flights."""
+"""`ssac demo` and `ssac scene`: the texts that they print about estimates and flights."""
 
 import json
 from dataclasses import replace
@@ -67,15 +67,15 @@ FLOWN = SimConfig(
 def test_figures_are_those_of_the_truth():
     recording = simulate(FLOWN, 0)
     figures = scene_figures(recording)
-    # What the truth says of the drone's origin: the mean of its events moves with it, but for the
-    # windows that N_min drops, which are the slow ones.
+    # The true speed is that of the drone's origin. The mean of its events moves alike, but N_min
+    # drops windows, those of slow motion.
     centres = recording.truth.centres_px
     speeds = np.linalg.norm(np.gradient(centres, recording.truth.times_s, axis=1), axis=-1)
     assert figures.speed_px_s == pytest.approx(np.nanmedian(speeds), rel=0.25)
     assert 0 < figures.median_distance_px < figures.mean_distance_px < 2.0
     assert figures.slope_px > 0.0
     assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
-    # They do not depend on the offset.
+    # The figures do not depend on the time offset.
     assert scene_figures(simulate(replace(FLOWN, t_d_s=0.25), 0)) == figures
 
 

@@ -59,7 +59,7 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
     assert turns.magnitude().max() < 1e-7
     frames = load_frames(plain / "cam2.h5")
     assert frames is not None
-    # Middle of the first exposure on camera 2's clock, which is 1 ms behind in the first second.
+    # Middle of the first exposure on camera 2's clock, which the skew sets back by 1 ms there.
     assert frames[0][0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
 
 
@@ -82,7 +82,7 @@ def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(tmp
 
 @pytest.mark.render
 def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
-    """Of a bird that is close to cameras of a preset."""
+    """The recordings are of a bird close to cameras that have a preset."""
     near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
     preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
     arguments = [*FAST, "--seed", 2**32 - 1, *near, *preset]
@@ -104,7 +104,7 @@ OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender",
           "trajectory": "flight.csv", "background": ("sky.png",), "distortion": (0.1, 0, 0, 0),
           "clock_jump": (1.0, 0.1), "drone_size": 0.5, "check": False, "resolution": (64, 48),
           "intrinsics_error": (1.0, 1.0)}  # fmt: skip
-"""Values beside the default, where half of it is none."""
+"""Values for options where half the default, or 1, is no valid value."""
 
 
 DEFAULTS = {name: inspect.signature(simulate_command).parameters[name].default for name in OPTIONS}
@@ -132,7 +132,7 @@ def test_an_option_sets_its_field_and_no_other(name):
 def test_an_option_keeps_what_else_is_said_of_its_part():
     config, _ = chosen({"gl": "egl"}, render=RenderConfig(lattice=Lattice(4, 1)))
     assert config.render == RenderConfig(lattice=Lattice(4, 1), backend="egl")
-    # Together they fit, each alone does not: 250 frames a second have no room for 5 ms.
+    # Both options together are valid: 250 frames a second have no room for the default of 5 ms.
     config, _ = chosen({"frame_rate": 250.0, "exposure": 1e-3})
     assert (config.frames.rate_hz, config.frames.exposure_s) == (250.0, 1e-3)
 

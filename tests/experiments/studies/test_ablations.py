@@ -1,4 +1,4 @@
-"""Ablations and grids of one's own: what becomes of their runs, and tangency's variants."""
+"""Ablations and users' own grids: tables and figures of their runs, and tangency's variants."""
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ sim.angle_deg = [30, 90]
 
 
 def runs() -> pd.DataFrame:
-    """Two angles, four flights, a method with poses and one without; three runs are refused."""
+    """Return runs at two angles on four flights, of a method with poses and one without; 3 fail."""
     rows = [
         {"sim.angle_deg": angle_deg, "flight": flight, "seed": 1, "method": method,
          "status": "ok", "reason": "", "n_samples": 300 + flight,
@@ -72,7 +72,7 @@ def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: 
     table = points_table(runs(), VARIED).astype({"sim.angle_deg": kind})
     figure = points_figure(table, VARIED)
     assert len(figure.axes) == len(ERRORS)
-    if kind is float:  # words are drawn by their methods
+    if kind is float:  # words are drawn over the methods
         assert [len(axes.containers) for axes in figure.axes] == [2, 2, 2]
         assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ssac", "event_rate"]
 

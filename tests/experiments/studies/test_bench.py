@@ -1,4 +1,4 @@
-"""The benchmark: its parts, what is made of their measurements, and how time and memory grow."""
+"""The benchmark: its parts, the tables of their measurements, the growth of time and memory."""
 
 from functools import partial
 from pathlib import Path
@@ -54,7 +54,7 @@ def _with_a_worker() -> int:
 
 
 def test_a_process_of_its_own_may_start_more() -> None:
-    assert in_new_process(_with_a_worker) == 3  # as that of the tables does
+    assert in_new_process(_with_a_worker) == 3  # as the one that makes the tables does
 
 
 @pytest.mark.render
@@ -110,7 +110,7 @@ def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None
     assert png_bytes(bench.growth_figure(table)) != whole
     table.loc[:, numbers], table["status"] = np.nan, "not measured (killed)"
     assert all(np.isnan(row.value) for row in growth_rows(table))
-    assert png_bytes(bench.growth_figure(table)) != whole  # of nothing
+    assert png_bytes(bench.growth_figure(table)) != whole  # it is empty
 
 
 @pytest.mark.render

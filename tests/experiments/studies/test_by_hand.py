@@ -1,4 +1,4 @@
-"""The default beside settings by hand: how recordings are drawn, judged and summed up."""
+"""The default compared with settings by hand: recordings are drawn, judged and summed up."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ def test_a_recording_follows_from_its_number_alone() -> None:
     assert [one.kind for one in few[:: len(SETTINGS)]] == (3 * list(KINDS))[:20]
     assert drawn(1, 4).sim != drawn(2, 4).sim
     assert drawn(1, 4).seed != drawn(1, 13).seed
-    # Where the clocks are alters nothing else.
+    # The range of the time offset alters nothing else.
     near, far = drawn(1, 4, 0.0), drawn(1, 4, 1.0)
     assert abs(near.sim.t_d_s) <= 1.0 <= abs(far.sim.t_d_s) <= 3600.0
     assert replace(near.sim, t_d_s=0.0) == replace(far.sim, t_d_s=0.0)
@@ -48,7 +48,7 @@ def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
     wrong = [
         replace(RIGHT, t_d_normalised=-4.1),
         replace(RIGHT, t_d_error_ms=10.1),
-        # 4.6 of two angles together are as improbable as 4.1 of one; below 3 deg they do no harm.
+        # 4.6 for two angles together is as improbable as 4.1 for one; up to 3 deg are allowed.
         replace(RIGHT, t_mahalanobis=4.6, t_error_deg=3.1),
         REFUSED,
     ]
@@ -61,7 +61,7 @@ def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
 
 
 def test_the_table_says_what_became_of_each_recording() -> None:
-    tried = [  # by default and with one setting, on recordings of kinds in turns
+    tried = [  # by default and with one setting; the kinds take turns
         (RIGHT, HandRow(by_hand.SPARED)),
         (replace(RIGHT, t_d_error_ms=20.0, t_d_normalised=7.0), RIGHT),
         (REFUSED, RIGHT),
@@ -80,7 +80,7 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     assert (row["right"], row["wrong"], row["settled"]) == (2, 1, 2)
     assert (row["refused"], row["settings"]) == ("no_match 2", "--search-all 2")
     assert (row["beyond"], row["worst"], row["cpu_s_median"]) == (1, "1: 7.0", 1.0)
-    # 2.0 deviations are outside of 1.96; 2.7 of three angles, and 2.4 of two, are inside.
+    # 2.0 is outside the 95 % bound of 1.96; 2.7 of three angles and 2.4 of two are inside theirs.
     assert (row["t_d_given"], row["t_d_held"]) == (4, 0.5)
     assert (row["R_given"], row["R_held"], row["t_held"]) == (2, 1.0, 1.0)
     assert table.loc["plain", "right"] == 1
@@ -90,7 +90,7 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     assert ends == pytest.approx([100.0] * len(table))
     marks = [line for line in right.lines if line.get_linestyle() == "None"]
     places = [tuple(line.get_ydata()) for line in marks]
-    assert len({place for line in places for place in line}) == 3 * len(table)  # none at another's
+    assert len({place for line in places for place in line}) == 3 * len(table)  # all apart
 
 
 def test_the_command_tries_settings_where_the_default_is_not_right(
@@ -109,7 +109,7 @@ def test_the_command_tries_settings_where_the_default_is_not_right(
     default, *others = tried("--far", "0").to_dict("records")
     assert (default["status"], default["kind"]) == ("ok", "wide"), default["reason"]
     assert {one["status"] for one in others} == {by_hand.SPARED}
-    # A flight of 6 s: some ms at most, as its deviation says.
+    # The error is a few stated deviations at most.
     assert abs(default["t_d_normalised"]) < 4.0
     assert default["cpu_s"] > 0.0
     every = tried("--far", "0", "--every")

@@ -1,4 +1,4 @@
-"""Coverage of errors drawn as the deviations say, and efficiency beside made-up bounds."""
+"""Coverage of errors drawn with their stated deviations, and efficiency for made-up bounds."""
 
 from itertools import product
 from typing import Any
@@ -19,11 +19,11 @@ from experiments.studies.efficiency import (
 from tests.experiments.reported import made_up_runs
 
 T_D_MS = 50.0
-OF_CLOCKS = {"t_d", "skew"}  # what is found where the pose is known
+OF_CLOCKS = {"t_d", "skew"}  # quantities that are estimated where the pose is known
 
 
 def drawn_runs(n: int = 400, scale: float = 1.0) -> pd.DataFrame:
-    """Runs of two methods at two angles; errors are `scale` of the stated deviations."""
+    """Return runs of two methods at two angles; errors are `scale` times the stated deviations."""
     rng, rows = np.random.default_rng(0), []
     of_pose = [one.column for name, one in QUANTITIES.items() if name not in OF_CLOCKS]
     for number, method in product(range(n), ("joint", "joint-known")):
@@ -56,7 +56,7 @@ def right() -> pd.DataFrame:
 def test_right_deviations_cover_what_they_say(right: pd.DataFrame, quantity: str) -> None:
     row = row_of(right, quantity)
     assert (row["n_runs"], row["refused"]) == (400, 0)
-    # 400 runs: 1 / sqrt(800) of the root mean square and sqrt(p (1 - p) / 400), four times each.
+    # Four standard errors of 400 runs: 1 / sqrt(800) of the RMS, sqrt(p (1 - p) / 400) of a share.
     assert row["rms_normalised"] == pytest.approx(1.0, abs=0.14)
     for level in coverage.LEVELS:
         name = f"coverage_{100 * level:g}"
@@ -93,7 +93,7 @@ def test_a_refused_run_is_counted_and_covers_nothing() -> None:
 
 
 def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> None:
-    # Their closed forms at the ends: (1 - share)^n = 0.025, and the mirror of it for all inside.
+    # The closed form for none inside is (1 - share)^n = 0.025; that for all inside mirrors it.
     bounds = coverage.sampling_bounds
     assert bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
     assert bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
@@ -103,7 +103,7 @@ def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> No
 
 
 def made_up_bounds(flights: int = 3) -> pd.DataFrame:
-    """Bounds of all methods, each another one."""
+    """Return made-up bounds of all methods, which differ by angle, flight and duration."""
     flown = product((10.0, 20.0), (30.0, 60.0, 90.0, 120.0, 150.0), range(flights), SAMPLES)
     table = pd.DataFrame(flown, columns=["duration_s", "angle_deg", "flight", "method"])
     known = table["method"].isin(KNOWN_POSE)
@@ -120,7 +120,7 @@ def test_errors_as_large_as_the_bound_lets_expect_have_efficiency_one() -> None:
     noise = np.random.default_rng(0).standard_normal(len(beside))
     beside["t_d_error_ms"] = np.abs(noise) * beside["t_d_bound_ms"]
     efficiencies = efficiency_table(beside)["t_d_efficiency"]
-    # 300 errors in each of 30 cells: deviations of 1 / sqrt(600), four of which are 0.16.
+    # 300 errors in each of 30 cells: 0.16 is four standard errors of 1 / sqrt(600).
     assert np.all(np.abs(efficiencies - 1.0) < 0.16)
     assert efficiencies.mean() == pytest.approx(1.0, abs=0.03)
 

@@ -1,4 +1,4 @@
-"""Cramer-Rao bounds: of a true track against least squares, and of whole recordings."""
+"""Cramer-Rao bounds: of a true track, compared with least squares, and of whole recordings."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,9 +33,9 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
 
 NOISE_PX = 0.3
 TRIALS = 300
-WITHIN = 3.0 / np.sqrt(2.0 * TRIALS)  # three deviations of a root mean square of as many errors
-STEP_S = 1e-4  # of differences: they err by its square
-LEAST_SQUARES = 1e6  # Cauchy's loss turns nowhere
+WITHIN = 3.0 / np.sqrt(2.0 * TRIALS)  # three standard errors of an RMS of so many errors
+STEP_S = 1e-4  # of differences, whose error grows with its square
+LEAST_SQUARES = 1e6  # Cauchy's loss is quadratic up to there
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def errors_with_noise(flight: Flight, noises_px: Array, pose_is_known: bool) -> 
     return np.array(errors)
 
 
-@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.3, 3.0)])  # alike, unlike by its weights
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.3, 3.0)])  # equal, or known by weights
 @pytest.mark.parametrize("pose_is_known", [False, True])
 def test_least_squares_reach_the_bound(flight, low, high, pose_is_known) -> None:
     noises_px = NOISE_PX * np.random.default_rng(1).uniform(low, high, len(flight.p1))
@@ -110,7 +110,7 @@ def test_the_bound_follows_the_speed_and_not_the_order_of_cameras(flight: Flight
     assert faster.R_rad == pytest.approx(usual.R_rad)
     R, t = flight.R.T, -flight.R.T @ flight.t
     swapped = Flight(flight.p2, flight.p1, flight.v2, flight.v1, R, t, flight.rig).bound
-    # The velocities are differences. t is another vector: its error now has a part of R's.
+    # 1e-5 as velocities are differences. t is another vector, whose error includes some of R's.
     assert swapped.t_d_s == pytest.approx(usual.t_d_s, rel=1e-5)
     assert swapped.R_rad == pytest.approx(usual.R_rad, rel=1e-5)
 
@@ -123,19 +123,19 @@ def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
     assert efficiency.known_pose_bound(still.information()).t_d_s == np.inf
 
     def circle(times_s: Array) -> Array:
-        """Turned about its axis, a uniform circle is itself a moment later."""
+        """Uniform motion on a circle: a delay is the same as a rotation about the axis."""
         angle = 2.0 * times_s[:, None]
         around = np.cos(angle) * [1.0, 0.0, 0.0] + np.sin(angle) * [0.0, 0.6, 0.8]
         return np.asarray(around + np.array([0.0, 0.0, 5.0]))
 
     scene = make_scene(seed=0)
     turning = Scene(scene.R, scene.t, circle, 20.0)  # type: ignore[arg-type]
-    # Infinite but for the velocities, which are differences with a relative error of 1e-8.
+    # It would be infinite if velocities were exact: as differences, they err by 1e-8.
     assert fly(turning).bound.t_d_s > 1e3 * fly(scene).bound.t_d_s
 
 
 TIMES_S = np.linspace(0.5, 9.5, 181)
-SCENE = make_scene(seed=0, duration_s=10.0)  # of `flight_folder`, in camera 1's frame
+SCENE = make_scene(seed=0, duration_s=10.0)  # `flight_folder`'s, in camera 1's frame
 
 
 @pytest.fixture(scope="module")
@@ -159,10 +159,10 @@ def test_the_true_track_is_where_the_cameras_see_the_drone(truth: FlightTruth) -
     moved_world = replace(truth, positions_m=positions_m, T_C_W=truth.T_C_W @ np.linalg.inv(T))
     for camera, expected in enumerate(track_pair(SCENE, TIMES_S)):
         p_px, v_px_s = seen(truth, camera, K, TIMES_S)
-        # A spline through 200 positions a second of a path with 2.5 knots a second.
+        # The error of a spline through 200 positions/s of a path with 2.5 knots/s.
         np.testing.assert_allclose(p_px, expected, atol=1e-5)
         after, before = (seen(truth, camera, K, TIMES_S + step)[0] for step in (STEP_S, -STEP_S))
-        # Differences over 0.2 ms: a third derivative of 1e4 px/s^3 makes 1e-4 px/s.
+        # Differences over 0.2 ms err by 1e-4 px/s, where the third derivative is 1e4 px/s^3.
         np.testing.assert_allclose(v_px_s, (after - before) / (2.0 * STEP_S), atol=1e-2)
         for same, other in zip((p_px, v_px_s), seen(moved_world, camera, K, TIMES_S), strict=True):
             np.testing.assert_allclose(other, same, rtol=1e-9, atol=1e-9)
@@ -175,7 +175,7 @@ def test_the_noise_measured_is_that_of_the_positions() -> None:
     noise = 0.3 * rng.standard_normal((2, *p1.shape))
     distances = sampson_distance(F, p1 + noise[0], p2 + noise[1])
     assert robust_deviation(distances) == pytest.approx(0.3, rel=0.03)  # three times 1.17 / sqrt(n)
-    distances[::20] = 50.0  # which shift the median to the 0.526 quantile
+    distances[::20] = 50.0  # the median of all is now the 0.526 quantile of the others
     assert robust_deviation(distances) == pytest.approx(0.3, rel=0.1)
 
 
@@ -192,7 +192,7 @@ def test_the_bound_is_that_of_the_true_track_at_the_valid_times(truth, pair) -> 
     assert found.bound.t_d_s == pytest.approx(expected.t_d_s)
     assert found.bound.R_rad == pytest.approx(expected.R_rad)
     assert of_known.bound.t_d_s == pytest.approx(efficiency.known_pose_bound(information).t_d_s)
-    # Means of 1000 events on a cloud with a deviation of about 5 px.
+    # The mean of 1000 events of a cloud with a standard deviation of about 5 px.
     assert found.sigma_px == pytest.approx(5.0 / np.sqrt(1000.0), rel=0.5)
 
 
@@ -210,7 +210,7 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(tr
         assert delayed.sigma_px == pytest.approx(found[method].sigma_px, rel=1e-2)
         assert delayed.bound.t_d_s == pytest.approx(found[method].bound.t_d_s, rel=1e-2)
     assert len({one.sigma_px for one in found.values()}) == 3
-    # Two tangents at each of tangency's own sample times, but where the object is out of view.
+    # tangency has two tangents at each of its sample times, unless the object is out of view.
     share = found["tangency"].n_samples / (2.0 * 10.0 / TangencyConfig().step_s)
     assert 0.7 < share < 1.0
 
@@ -221,7 +221,7 @@ def test_samples_are_of_both_views_at_one_instant(pair) -> None:
         assert len(samples.times_s) == len(samples.p1_px) == len(samples.p2_px) > 300
         found, expected = (samples.p1_px, samples.p2_px), track_pair(SCENE, samples.times_s)
         off_px = np.linalg.norm(np.subtract(found, expected), axis=2)
-        # The cloud is 0.4 m wide, 16 px at 5 m, and some flights come nearer.
+        # The cloud is 0.4 m wide, which is 16 px at 5 m and more on nearer parts of the flight.
         assert (np.median(off_px, axis=1) < 16.0).all()
 
 

@@ -1,4 +1,4 @@
-"""Events against those of another rendering, and what is summed up of them."""
+"""Events compared with those of a denser rendering, and the cells of the comparison."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from sim.sensor.kernels import EVENT_DTYPE
 
 
 def changed(events: np.ndarray, of: slice = slice(None), **steps: int) -> np.ndarray:
-    """Return events of which some have a field moved on; polarities turn."""
+    """Return a copy in which fields of some events are increased, or polarities inverted."""
     events = events.copy()
     for name, step in steps.items():
         events[name][of] = 1 - events[name][of] if name == "p" else events[name][of] + step
@@ -24,7 +24,7 @@ def changed(events: np.ndarray, of: slice = slice(None), **steps: int) -> np.nda
     [
         (lambda e: e, 0, 0.0, 0.0),
         (lambda e: changed(e, t=120), 120, 0.0, 0.0),
-        # 100 more, at pixels of which the reference has nothing
+        # 100 more events, at pixels without events in the reference
         (lambda e: np.concatenate([e, changed(e[:100], x=200)]), 0, 100 / 2100, 0.0),
         (lambda e: e[500:], 0, 0.0, 500 / 2000),
         (lambda e: changed(e, slice(1, None), p=1), 0, 1999 / 2000, 1999 / 2000),

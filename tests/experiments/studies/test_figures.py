@@ -1,4 +1,4 @@
-"""`ssac figures`: which there are, of which flights, and the same bytes every time."""
+"""`ssac figures`: the list of figures, and the same bytes each time that one is drawn."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ def test_all_figures_are_drawn_when_none_is_named() -> None:
     papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "alignment"]
     all_of_them = list(figures.drawings())
     assert all_of_them[:6] == [*papers, "error_vs_angle", "beyond_paper"]
-    # Every picture of results/, but for the paths, which need the recordings.
+    # It draws every picture of results/ but those of paths, which need the recordings.
     committed = {path.stem for path in RESULTS.glob("*.png")}
     paths = {name for name in committed if name == "outdoor" or name.startswith("real_path")}
     assert committed <= {*all_of_them, *paths}
@@ -38,7 +38,7 @@ def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, ca
     assert pictures[0] == pictures[1]
     assert len(pictures[0]) < 200_000
     first = tmp_path / "first"
-    # What it is drawn from has its provenance, and this is no new run.
+    # The table has a provenance; a figure has none, as it is no new run.
     assert set(read_checksums(first)) == {"beyond_paper.png"}
     assert {path.name for path in first.iterdir()} == {"beyond_paper.png", "SHA256SUMS"}
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")

@@ -1,4 +1,4 @@
-"""Imperfect recordings and those as they come: how estimates are scored, and what is counted."""
+"""Imperfect recordings: how estimates are scored, and when a run meets its requirement."""
 
 from dataclasses import replace
 
@@ -26,9 +26,9 @@ def row_of(found: Estimate, skew_ppm: float = 0.0) -> ImperfectRow:
 
 
 def test_an_offset_is_scored_where_it_holds_and_what_is_refused_has_no_errors() -> None:
-    """At t_ref the true offset of clocks that drift is another than in the middle."""
+    """With skew, the true offset at t_ref differs from that in the middle of the recording."""
     row = row_of(joint_estimate(1e-4, t_ref_s=5.0, skew_ppm=110.0, skew_std_ppm=20.0), 100.0)
-    assert row.t_d_normalised == pytest.approx(-0.1)  # 0.1 ms found of 100 ppm times 2 s
+    assert row.t_d_normalised == pytest.approx(-0.1)  # 0.1 ms found, true: 100 ppm of 2 s
     assert row.t_d_error_ms == pytest.approx(0.1)
     assert row.skew_normalised == pytest.approx(0.5)
     assert (row.offset_given, row.pose_given) == (True, True)
@@ -48,7 +48,7 @@ def test_a_method_is_run_on_what_was_spoilt() -> None:
     row = imperfect.imperfect_row(cell, Flown(lambda _: flown(), SEED))
     assert row.status == "ok", row.reason
     assert row.n_events_cam1 == len(flown().cam1.events)
-    assert row.t_d_error_ms < 5.0  # a few times the scatter of these points over 6 s
+    assert row.t_d_error_ms < 5.0  # a few times the scatter of the error over 6 s
     assert np.isfinite([row.t_d_normalised, row.skew_normalised]).all()
 
 
@@ -59,7 +59,7 @@ def test_every_scene_has_kinds_and_every_requirement_asks_for_something() -> Non
 
 
 def test_the_ends_are_where_the_clock_says() -> None:
-    """A skew that is 10 ppm too large is 30 us off after 3 s, less where the offset makes up."""
+    """A skew error of 10 ppm is 30 us after 3 s, to which the offset's error adds at one end."""
     found = Estimate(
         "tangency", t_d_s=T_D_S + 1e-5, skew_ppm=60.0, t_ref_s=3.0,
         clock_covariance=np.diag([1e-5, 1e-5]) ** 2,
@@ -96,7 +96,7 @@ def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate() -> None:
         ("second drone 10 %", RequiredRow("ok", "", True, t_d_error_ms=0.2), True),
         ("second drone 10 %", RequiredRow("ok", "", True, t_d_error_ms=0.4), False),
         ("second drone 10 %", RequiredRow("several_objects", "two things"), True),
-        ("second drone 10 %", RequiredRow("several_objects"), False),  # it does not say why
+        ("second drone 10 %", RequiredRow("several_objects"), False),  # it gives no reason
         ("second drone 10 %", RequiredRow(CRASHED, "a bug"), False),
         ("20 s, jump of 5 ms", RequiredRow("clock_jump", "by"), True),
         ("20 s, jump of 5 ms", RequiredRow("ok", "", True, t_d_error_ms=0.0), False),

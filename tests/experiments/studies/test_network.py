@@ -1,4 +1,4 @@
-"""Networks of cameras: what they are measured on, what is found, and what is made of the rows."""
+"""Networks of cameras: their flights and tracks, and the errors of their solutions."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -46,16 +46,16 @@ def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None
     assert len(flown.found) == 1  # cells of a kind share one solution
     for row in others:
         assert row.status == "ok", row.reason
-        # Points are interpolated between 10 ms, and rounded to 1e-4 px: stated are some 1e-3.
+        # Points are interpolated over 10 ms and rounded to 1e-4 px; about 1e-3 px is stated.
         assert row.t_d_error_ms < 0.1
         assert row.r_error_deg < 0.05
         for name in ("t_d_normalised", "skew_normalised", "r_mahalanobis", "t_mahalanobis"):
-            # Exact tracks err by far less than is stated of them, and never by more.
+            # Exact tracks leave errors far below their stated deviations, and never above.
             assert 0.0 < abs(getattr(row, name)) < 1.0, name
     assert first.path_rmse_mm < 1.0
     assert first.path_rmse_mm <= first.path_max_mm
     assert first.path_point_rmse_mm <= first.path_rmse_mm * 1.001
-    assert 0.9 < first.path_seen < 1.01  # a step more than the flight is long
+    assert 0.9 < first.path_seen < 1.01  # at most a step more than the flight
     assert first.path_held > 0.5
 
 
@@ -67,11 +67,11 @@ def test_a_path_of_another_point_of_the_body_is_off_by_its_lever_arm_alone() -> 
     truth = truth_of(times_s, true_m, turns)
     frame, arm_m = Rotation.from_rotvec(rng.normal(size=3)), np.array([0.02, -0.01, 0.03])
     seen = frame.apply(true_m + turns.apply(arm_m)) / 3.0 + [1.0, 2.0, 3.0]
-    # The rounds in turn converge to it, by some factor each.
+    # The alternating rounds converge linearly.
     assert network.path_off_best_point_m(SpacePath(times_s, seen), true_m, truth) < 1e-4
     noisy = seen + rng.normal(0.0, 0.01, seen.shape)  # 30 mm in metres
     off_m = network.path_off_best_point_m(SpacePath(times_s, noisy), true_m, truth)
-    assert off_m == pytest.approx(0.03 * np.sqrt(3.0), rel=0.1)  # of 1200 numbers: 2 %, thrice
+    assert off_m == pytest.approx(0.03 * np.sqrt(3.0), rel=0.1)  # 1200 numbers: 2 %, three times
 
 
 def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_flight_before_many_cameras_is_solved_and_timed(monkeypatch: pytest.Mo
     row = network.growth_row(GrowthCell(20.0), None)
     assert row.status == "ok", row.reason
     assert 0.0 < row.network_s < row.wall_s
-    # 20 s before four cameras state 0.2 ms and some mm; five times as much.
+    # Four cameras state 0.2 ms and some mm for 20 s. The limits are five times as much or more.
     assert row.t_d_error_ms < 2.0
     assert row.path_rmse_m < 0.05
     (study,) = network.GROWTH

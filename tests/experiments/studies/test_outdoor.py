@@ -1,4 +1,4 @@
-"""The outdoor twin and its study: set-up, true tracks, one short flight, the table of rows."""
+"""The outdoor twin and its study: set-up, true tracks, one short flight and its tables."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def test_what_is_true_is_found_within_its_deviations(tmp_path, truth, monkeypatc
     monkeypatch.setattr(outdoor, "truths_of", lambda folders: (truth,))
     row = outdoor.outdoor_row(OutdoorCell(0, "all_true", DURATION_S), (tmp_path,))
     assert row.status == "ok", row.reason
-    # Tracks are exact to the file's 1e-4 px, but points are interpolated between 20 ms.
+    # Tracks are exact to the file's 1e-4 px, but points are interpolated over 20 ms.
     assert row.t_d_error_ms < 0.1
     assert row.skew_error_ppm < 2.0
     assert row.rmse_m < 0.04  # RTK's noise alone is 0.024 m
@@ -36,7 +36,7 @@ def test_a_short_flight_gives_both_tables(tmp_path: Path) -> None:
     folders = ("--out", tmp_path, "--cache", tmp_path / "cache")
     run("outdoor", "--flights", 1, "--duration", 10, *folders)
     recordings = (tmp_path / "cache" / "recordings").iterdir()
-    assert sum(path.is_dir() for path in recordings) == 2  # one has the third camera
+    assert sum(path.is_dir() for path in recordings) == 2  # one of them is of the third camera
     runs, means = (Results(tmp_path).table(name) for name in ("outdoor", "outdoor_oracle"))
     assert list(runs) == list(STUDY.runs.columns)
     assert list(runs["kind"]) == list(means["kind"]) == list(KINDS)
@@ -65,7 +65,7 @@ def outdoor_rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def truth() -> FlightTruth:
-    """The truth of a flight, which takes no rendering."""
+    """The true path of a flight, which needs no rendering."""
     rig = outdoor_rig()
     times_s = np.linspace(0.0, DURATION_S, 200 * 60 + 1)
     poses = random_spline(CONFIG.spline, np.random.default_rng(3)).poses(times_s)
@@ -92,7 +92,7 @@ def test_the_set_up_is_the_papers(truth: FlightTruth) -> None:
 
 def test_rtk_is_the_antenna_on_a_clock_of_its_own(truth: FlightTruth) -> None:
     rtk = outdoor.rtk_of(truth, 0)
-    assert np.diff(rtk.times_s) == pytest.approx(0.2, abs=0.0051)  # to the truth's next 5 ms
+    assert np.diff(rtk.times_s) == pytest.approx(0.2, abs=0.0051)  # on the truth's 5 ms grid
     scene_s = Clock(18.4, 5.0).cam1_from_cam2(rtk.times_s)
     k = np.rint(200.0 * scene_s).astype(int)
     arms_m = Rotation.from_quat(truth.quaternions[k]).apply(outdoor.LEVER_ARM_M)

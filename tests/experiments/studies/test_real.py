@@ -1,6 +1,6 @@
-"""Public drone tracks: what is read of them, what is said of them, and what their tables show.
+"""Public drone tracks: reading them, checks of the committed tables, and numbers quoted of them.
 
-Where the data are at hand, a first flight is found from nothing.
+Where the data are available, the path of the first flight is estimated from the tracks.
 """
 
 import os
@@ -26,7 +26,7 @@ DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The committed tables, to be spoilt."""
+    """A copy of the committed tables, which a test may spoil."""
     for name in COLUMNS:
         copy(RESULTS / f"{name}.csv", tmp_path)
     return tmp_path

@@ -1,4 +1,4 @@
-"""What counts as a confident wrong answer; flights that leave something open; what is advised."""
+"""Confident wrong answers, flights that leave unknowns open, and the advice of refusals."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_every_method_is_judged_on_every_kind_of_a_flight(kind, monkeypatch):
     ]
     if kind == "no-overlap":  # recordings a minute apart have no common time in the interval
         assert {row.status for row in rows} == {"no_common_time"}
-    assert made == [2]  # once for all methods; the other flight is asked for by one kind alone
+    assert made == [2]  # once for all methods; none of these kinds needs the other flight
 
 
 @pytest.mark.render
@@ -99,7 +99,7 @@ def test_paths_are_of_positions():
 CELLS = refusal.reason_cells(base=1, recordings=1)
 
 TWINS = ("at rest", "outside the interval", "short", "different objects", "clock jumps, tracks")
-"""Causes that one of the others is too, with tracks in place of events or the other way round."""
+"""Causes that are also tested in another form: tracks in place of events, or events for tracks."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The spread over windows on one's own recordings: sums of made-up answers, and a real pair."""
+"""The spread over windows on a user's recordings: tables of made-up runs, and a synthetic pair."""
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,7 @@ from tests.experiments.reported import record_flight
 
 
 def made_up() -> pd.DataFrame:
-    """Four answers of a method, two of t_d alone of another, and a refusal."""
+    """Return four estimates of one method; two of t_d alone, and a refusal, of another."""
     pose = {"r_x_deg": 0.0, "r_y_deg": 0.0, "r_std_deg": 0.5, "t_std_deg": 0.2, "t_x": 0.0}
     rows = [
         {"half_window_s": 0.02, "n_min": n, "method": "joint", "status": "ok", "t_d_ms": 50.0 + d,
@@ -32,7 +32,7 @@ def test_the_spread_is_that_of_the_answers_beside_what_they_state():
     for quantity, factor, stated in expected:
         row = table.loc[("joint", quantity)]
         assert (row["windows"], row["answered"]) == (4, 4)
-        # The mean direction is not normalised before it is taken: of angles this small, alike.
+        # The mean direction is not normalised here, which does not matter for angles this small.
         assert row["spread"] == pytest.approx(factor * rms, rel=1e-6)
         assert row["most"] == pytest.approx(factor * 0.3, rel=1e-6)
         assert row["stated"] == stated
@@ -68,5 +68,5 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     assert len(runs) == 2 * len(SHOWN)
     table = pd.read_csv(tmp_path / "out" / "spread.csv")
     of_t_d = table[table["quantity"] == "t_d_ms"].set_index("method")
-    # The clocks of this pair are alike; 4 s of it leave a few ms at most.
+    # The true offset of this pair is 0; 4 s leave an error of a few ms at most.
     assert (of_t_d["median"].abs() < 10.0).all()

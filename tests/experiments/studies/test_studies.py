@@ -1,4 +1,4 @@
-"""All studies: their names, keys and flights. `make verify` holds committed files to their rows."""
+"""All studies: their names, keys, flights and checks. `make verify` compares committed rows."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -38,7 +38,7 @@ OWN_FLIGHTS = (
     *("coverage", "refusal", "imperfect", "marks", "tangency", "fidelity"),
     *("mini_10", "mini_20", "error_budget", "light_latency"),
 )
-"""Studies whose flights are those of no table."""
+"""Studies none of whose flights is one of the tables or of another study."""
 
 
 def test_every_grid_of_the_project_is_a_table_or_a_study() -> None:
@@ -56,7 +56,7 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
     assert not keys.duplicated().any()
     for cell in cells[:: max(1, len(cells) // 50)]:
         if name.startswith(("network", "outdoor", "mini", "error", "light")):
-            continue  # scenes of their own, whose seeds are counted
+            continue  # scenes of their own, with other seeds
         sim, seed = cell.recordings[0]
         number, base = cell.columns["flight"], cell.columns.get("base", 0)
         expected = flight_seed(sim.spline.duration_s, sim.angle_deg, number, base)
@@ -91,7 +91,7 @@ OF_CORRELATION = RUN.replace("ssac", "zncc_e")
         # The search around 500 ms ends at 1500 ms.
         ("tables", "runs", OF_CORRELATION, {"t_d_error_ms": 1.5e3, "t_d_estimate_ms": -1e3},
          "errors are possible ones"),
-        # Of 1412.345 ms the CSV has six digits, which are equal enough.
+        # The CSV has six digits of 1412.345 ms; the rounding is no fault.
         ("tables", "runs", OF_CORRELATION, {"t_d_error_ms": 912.345, "t_d_estimate_ms": 1412.345},
          None),
         ("bench", "bench", "value > 0", {}, None),
@@ -106,7 +106,7 @@ OF_CORRELATION = RUN.replace("ssac", "zncc_e")
     ],
 )  # fmt: skip
 def test_an_impossible_number_is_found(tmp_path, name, table, where, changed, fault) -> None:
-    """In the first of the committed rows that are so; those of `real` have a table of their own."""
+    """The first matching committed row is changed. `test_real.py` tests the checks of `real`."""
     study = STUDIES[name]
     for file in (study.runs.file, *study.reads):
         copy(RESULTS / file, tmp_path)
@@ -131,7 +131,7 @@ def test_flights_of_studies_are_their_own() -> None:
 
 
 def flights(cells: Iterable[Cell]) -> set[Flight]:
-    """Recordings of cells, which do not depend on the offset."""
+    """Return the recordings of cells; these do not depend on the time offset."""
     return {(replace(cell.sim, t_d_s=0.0), cell.seed) for cell in cells}
 
 

@@ -1,4 +1,4 @@
-"""Truth in the place of what `tangency` finds: it is right, and takes the error away."""
+"""True values in place of the estimates of `tangency`: they are right, and remove the error."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def test_true_tangents_are_pairs_and_move_as_they_are_said_to(flown: FilmedPair)
     F = fundamental_from_pose(*Ks, R, t)
     for (one_px, _), (other_px, px_s) in zip(*both, strict=True):
         np.testing.assert_allclose(sampson_distance(F, one_px, other_px), 0.0, atol=1e-9)
-        # Across itself, a tangent moves as a point does that it touches for long.
+        # Normal to itself, a tangent moves as its point of contact, if that is the same for long.
         stays = np.linalg.norm(np.diff(other_px, axis=0), axis=1) < 2.0
         moved = np.sum(np.diff(other_px, axis=0) * px_s[:-1], axis=1) / 0.005
         assert np.median(np.abs(moved / np.sum(px_s[:-1] ** 2, axis=1) - 1.0)[stays]) < 0.05
@@ -53,4 +53,4 @@ def test_truth_takes_the_error_away_and_each_truth_is_used(flown: FilmedPair) ->
     assert found[oracle.POSE].r_error_deg == found[oracle.POSE].t_error_deg == 0.0
     used = (oracle.AS_IT_IS, oracle.POSE, oracle.VELOCITIES, oracle.CLOCKS)
     assert len({errors_ms[cause] for cause in used}) == len(used)
-    assert tangency.tangents is tangents  # nothing stays in its place
+    assert tangency.tangents is tangents  # the original function is back in place

@@ -1,4 +1,4 @@
-"""The bench: its kinds of imperfection, and a short recording from nothing to its rows."""
+"""The bench: its kinds of imperfection, and a short recording from its simulation to its rows."""
 
 from functools import partial
 from pathlib import Path
@@ -48,13 +48,13 @@ def test_what_is_not_calibrated_is_true() -> None:
     assert (of_intrinsics.T_2_1 == rig.T_2_1).all()
     assert (of_truth.cam1.K == rig.cam1.K).all()
     assert (of_truth.T_2_1 != rig.T_2_1).any()
-    # One calibration has both errors, and the pose's then also has those of the intrinsics.
+    # With all imperfections, the errors of the intrinsics add to those of the pose.
     assert (of_all.cam1.K == of_intrinsics.cam1.K).all()
     assert (of_all.T_2_1 != of_truth.T_2_1).any()
 
 
 def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draws alike would go unnoticed by their results: cameras at other places err otherwise."""
+    """Results cannot reveal equal draws, as the cameras' places differ: the draws are recorded."""
     drawn = []
 
     def calibrated(camera: Camera, _: CalibrationConfig, rng: np.random.Generator) -> Any:
@@ -62,7 +62,7 @@ def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.Mo
         return exact(camera)
 
     monkeypatch.setattr(bench, "calibrated_camera", calibrated)
-    bench.known_rig.__wrapped__(bench_of(only("intrinsics"), *PLACE))  # not of its cache
+    bench.known_rig.__wrapped__(bench_of(only("intrinsics"), *PLACE))  # past its cache
     assert len(set(drawn)) == 2
 
 
@@ -91,10 +91,10 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     runs = outcome.runs
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
-    # Six seconds on an ideal bench leave `ssac` 0.2 to 1.6 ms (four recordings): a drone of
-    # 26 px moves a pixel in 6 ms, and its middle is no point of it. Twice the most, for any method.
+    # On an ideal bench, `ssac` errs by 0.2 to 1.6 ms after 6 s (four recordings): a drone of 26 px
+    # moves 1 px in 6 ms, and its centre is no fixed point. The limit is twice 1.6 ms.
     assert runs["t_d_error_ms"].max() < 3.3
-    # `tangency`, which states 0.04 to 0.07 ms, leaves up to 0.09: four deviations at the least.
+    # `tangency` errs by up to 0.09 ms, and states 0.04 to 0.07 ms, of which this is four at least.
     is_ideal = (runs["kind"] == NONE) & (runs["method"] == "tangency")
     assert runs.loc[is_ideal, "t_d_error_ms"].max() < 0.3
     # The offsets of a recording differ in the clock alone, which the methods follow exactly.

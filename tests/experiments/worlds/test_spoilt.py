@@ -1,4 +1,4 @@
-"""What is made of a flight: clutter, clocks that run apart, intrinsics that are off."""
+"""Flights that are spoilt by clutter, by clocks with skew or a jump, or by wrong intrinsics."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_what_a_kind_says_is_added() -> None:
         assert np.all(np.diff(pair[k].events["t"]) >= 0)
     end_us = pair.cam2.events["t"][-1] - pair.cam1.events["t"][-1]
     skew_us = 0.5 * DURATION_S * kind.skew_of(SEED)
-    # Of the lamp's last step in both views, 0.1 ms of jitter each way times a few deviations.
+    # Either view ends with the lamp's last step, whose jitter is 0.1 ms: a few deviations of both.
     assert end_us == pytest.approx(1e6 * T_D_S + skew_us, abs=1000)
     assert pair.rig.cam1.intrinsics_std_px == pytest.approx((2.0, 2.0, 3.0, 3.0))
     assert not np.array_equal(pair.rig.cam1.K, flight.rig.cam1.K)
@@ -64,7 +64,7 @@ def test_a_clock_runs_fast_about_the_middle_and_jumps_once() -> None:
         made(kind).cam2.events["t"] - cam2_us - round(1e6 * T_D_S)
         for kind in (Kind("20 s", skew_ppm=50.0), Kind("20 s", jump=(4.0, 5e-3)))
     )
-    # Whole microseconds.
+    # Times are rounded to whole microseconds.
     assert np.abs(fast - 5e-5 * (cam2_us - 0.5e6 * DURATION_S)).max() <= 0.5
     assert np.array_equal(stepped, np.where(cam2_us >= 4_000_000, 5_000, 0))
 

@@ -1,4 +1,4 @@
-"""What a command needs not: simulator, experiments, and all that is not asked for."""
+"""Commands import neither the simulator nor the experiments, nor anything else unneeded."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ finally:
 
 
 def ran(*args: object):
-    """The process of a module's command line, what it imported, and how many threads BLAS had."""
+    """Run a module's command line; return the process, its imports, and BLAS's thread count."""
     command = [sys.executable, "-c", RUN, *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     *_, modules, threads = done.stdout.splitlines()
@@ -54,7 +54,7 @@ def test_sync_needs_no_simulator_and_imports_no_more_than_it_needs(method, recor
     done, imported, threads = ran("ssac.cli", "sync", *args)
     assert done.returncode == 0, done.stderr
     assert abs(json.loads(out.read_text())["t_d_s"] - T_D_S) < 0.05
-    assert "scipy.ndimage" in imported  # what is needed is listed
+    assert "scipy.ndimage" in imported  # the list works
     assert not (HEAVY | {"sim", "experiments"}) & imported
     assert threads == "threads: 1"
 

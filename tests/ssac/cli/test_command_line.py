@@ -1,4 +1,4 @@
-"""The command line: its table, options, progress, exit codes, and the one line of an error."""
+"""The command line: its list of commands, options, progress, exit codes and one-line errors."""
 
 import os
 import signal
@@ -208,9 +208,9 @@ def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
 @pytest.mark.parametrize(
     ("total", "step_s", "n_done", "is_brief", "told"),
     [
-        (300, 0.5, 300, False, range(30, 301, 30)),  # each tenth
+        (300, 0.5, 300, False, range(30, 301, 30)),  # at each tenth
         (100, 12.0, 9, False, (3, 6, 9)),  # every 30 s
-        *((n, 1.0, n, False, range(1, n + 1)) for n in (1, 3, 7)),  # of few things each
+        *((n, 1.0, n, False, range(1, n + 1)) for n in (1, 3, 7)),  # each of a few things
         (100, 0.2, 100, True, ()),  # brief work says nothing until it is long
         (100, 1.0, 100, True, range(30, 101, 10)),
     ],
@@ -232,7 +232,7 @@ def test_lines_come_at_each_tenth_and_every_30_s(
 
 
 def shown(total: int) -> None:
-    """Do so many things, and say something else amid them."""
+    """Report progress of so many things, with another message after the first."""
     with progress(total, "flights") as advance:
         for n_done in range(total + 1):
             advance(n_done)
@@ -267,7 +267,7 @@ def test_a_terminal_has_a_bar(capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     ("width", "expected"),
-    [(60, 60), (500, COLUMNS), (3, 40), (0, COLUMNS)],  # 0: it does not say
+    [(60, 60), (500, COLUMNS), (3, 40), (0, COLUMNS)],  # 0: the terminal states no width
 )
 def test_lines_fit_the_terminal(width, expected, monkeypatch):
     reader, end = os.openpty()
@@ -299,7 +299,7 @@ def raising(error: BaseException):
 def test_a_command_says_its_own_code_though_its_output_is_closed(code, capsys, monkeypatch):
     assert guarded(lambda: code) == code
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr(sys, "stdout", None)  # as Python has it then
+    monkeypatch.setattr(sys, "stdout", None)  # as Python sets it then
     assert guarded(lambda: code) == code
 
 
@@ -351,7 +351,7 @@ def run():
 {body}
 sys.exit(guarded(run))
 """
-    # Whoever runs the tests in the background may have made them deaf to interrupts.
+    # A shell that runs the tests in the background may make them ignore interrupts.
     heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     command = [sys.executable, "-c", code]
     return subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heed, **options)
@@ -377,7 +377,7 @@ SWALLOWED = f"""
 
 @pytest.mark.parametrize(("body", "said"), [("    import slow", b""), (SWALLOWED, b"swallowed\n")])
 def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body, said, tmp_path):
-    """As when the user changes their mind in the first second."""
+    """The user may interrupt in the first second, amid the imports."""
     (tmp_path / "slow.py").write_text(SLEEP.format(""))
     body = f"    sys.path.insert(0, {str(tmp_path)!r})\n{body}"
     process = guarded_process(body, stdout=subprocess.PIPE)

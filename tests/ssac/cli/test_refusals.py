@@ -1,4 +1,4 @@
-"""`ssac sync` on input and options that it cannot use: one line each, and nothing is written."""
+"""`ssac sync` refuses input and options that it cannot use in one line, and writes nothing."""
 
 import re
 from dataclasses import replace
@@ -50,7 +50,7 @@ TEXTS = {
     "outside": (HEAD + "-1,346,3\n{rows}", "the image is 346 x 260 px"),
     "nothing": (HEAD, "there are no points"),
 }
-"""Tracks with the rows of a right one, and what is said of them."""
+"""Texts of bad track files, with the {rows} of a good one, and the error of each."""
 
 
 def make_tracks_of_all_kinds(folder: Path) -> None:
@@ -173,7 +173,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
     *progress, last = result.stderr.splitlines()
     assert not any("error" in line for line in progress)
     assert re.search(f"^error: .*{message}", last)
-    if form.count("cam") > 1:  # of many cameras it is said before any pair is looked at
+    if form.count("cam") > 1:  # with many cameras, before any pair is looked at
         assert not progress
     assert before == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 

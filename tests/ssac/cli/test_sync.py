@@ -28,11 +28,11 @@ from tests.ssac.command import read_json, run, run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_angle_deg
 from tests.ssac.tracks import save_pair
 
-TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
+TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels err by about 1 ms
 
 
 def answered(folder, *args):
-    """Run `ssac sync`, which must give an answer: what it says, and its JSON without the time."""
+    """Run `ssac sync`, which must succeed; return the run, and its JSON without the duration."""
     result = run_sync(*args, "--json", folder / "out.json")
     assert result.exit_code == 0, result.stderr
     return result, {**read_json(folder / "out.json"), "seconds": 0}
@@ -47,7 +47,7 @@ def joint_run(recorded):
 
 def test_the_offset_is_found_results_are_on_stdout_and_progress_on_stderr(joint_run):
     result, found, synced = joint_run
-    assert "the outline does not close" in found["note"]  # of a cloud of pixels
+    assert "the outline does not close" in found["note"]  # the object is a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
     shown_ms = f"{1e3 * found['t_d_s']:.3f} ms"
@@ -65,7 +65,7 @@ def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorde
     before, after = load_events(recorded / "cam2.h5").events, load_events(synced).events
     clock = Clock(found["t_d_s"], found["skew_ppm"], found["t_ref_s"])
     expected_us = 1e6 * clock.cam1_from_cam2(before["t"] / 1e6)
-    # Half a microsecond by rounding, and the last digits of a float.
+    # The tolerance is half a microsecond of rounding, and the last digits of a float.
     assert np.abs(after["t"] - expected_us).max() <= 0.5 + 1e-6
     assert all(np.array_equal(before[field], after[field]) for field in "xyp")
 
@@ -104,7 +104,7 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
     assert again["method"] == "joint-known"
     assert again["deg_per_percent_of_focals"] == [None, None]  # no pose is estimated
     np.testing.assert_allclose(again["t"], found["t"], atol=1e-12)
-    # The pose that fits best is not given up: the offset stays where it was, to its deviation.
+    # The known pose is the one that fitted best, so the offset stays, to its deviation.
     assert abs(again["t_d_s"] - found["t_d_s"]) < found["t_d_std_s"]
 
 
@@ -166,7 +166,7 @@ def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path
 
 # --- Tracks ---
 
-SCENE, TRACKS_S = make_scene(1, duration_s=10.0), 7.3  # the offset of its tracks
+SCENE, TRACKS_S = make_scene(1, duration_s=10.0), 7.3  # the offset of the tracks
 WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
 
 
@@ -186,7 +186,7 @@ def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tm
     assert "warning" not in result.stderr
     assert (found["status"], found["method"]) == ("ok", "joint")
     assert abs(found["t_d_s"] - TRACKS_S) < WIDE * found["t_d_std_s"]
-    assert found["t_d_std_s"] < 2e-3  # 0.3 px at 180 px/s are 1.7 ms for one of hundreds of points
+    assert found["t_d_std_s"] < 2e-3  # 0.3 px at 180 px/s: 1.7 ms for each of hundreds of points
     assert rotation_angle_deg(np.array(found["R"]), SCENE.R) < 1.0
     assert angle_deg(np.array(found["t"]), SCENE.t) < 1.0
     again = sync(files[0], late, files[-1], search="interval")
@@ -194,7 +194,7 @@ def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tm
 
 
 def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
-    """Such an answer has a search, and nothing that a table or the network could begin with."""
+    """The answer has a search, but no guess from which a table or the network could start."""
     whole = (load_track(pair / name) for name in ("cam1.csv", "cam2.csv"))
     short = [PointTrack(track.times_s[:7], track.points_px[:7]) for track in whole]
     answer = sync(*short, pair / "rig.yaml").answer
@@ -206,7 +206,7 @@ def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
 def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     track = load_track(pair / "cam2.csv")
     save_track(tmp_path / "ms.csv", replace(track, times_s=1e3 * track.times_s))
-    rig, nowhere = ("--rig", pair / "rig.yaml"), ("--search", 9e6, 9e6 + 1.0)  # ends soon
+    rig, nowhere = ("--rig", pair / "rig.yaml"), ("--search", 9e6, 9e6 + 1.0)  # keeps the run short
     _, _, err = run("sync", pair / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
     assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
     assert "give seconds" in err
@@ -231,7 +231,7 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
     assert "warning" not in err
     result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
     assert result.status == "ok"
-    assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # as for two event files
+    assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # the same as for two event files
 
 
 def test_a_track_is_made_by_the_rules_that_are_given(recorded):
@@ -274,7 +274,7 @@ READOUT_S = 0.02
 
 @pytest.fixture(scope="module")
 def shuttered(tmp_path_factory):
-    """Camera 1's readout is stated, camera 2's is not: none, in truth."""
+    """The rig states camera 1's readout but not camera 2's, whose true readout is 0."""
     return save_pair(tmp_path_factory.mktemp("tracks"), SCENE, 0.2, READOUT_S)
 
 

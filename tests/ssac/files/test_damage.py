@@ -1,4 +1,4 @@
-"""Files that are damaged, unsorted, or ROS bags: what is refused, and what is left of them."""
+"""Damaged and unsorted files and ROS bags: which are refused, and what is read of the others."""
 
 import sys
 
@@ -30,7 +30,7 @@ def write_faery(path, version=None):
 
 
 def refused_or_left(path, error, warning, reading=ALLOWED):
-    """What is read of a file where that is allowed; else it is refused."""
+    """Return the events read of a file that is refused unless `reading` allows it."""
     with pytest.raises(SsacError, match=error):
         load_events(path)
     with pytest.warns(UserWarning, match=warning):
@@ -83,7 +83,7 @@ def test_an_aedat4_header_takes_no_memory_by_its_size_and_its_xml_must_be_parsed
         assert old in whole
         path.write_bytes(whole.replace(old, new, 1))
         with pytest.raises(SsacError, match=r"cam1\.aedat4: .*its header.s XML: "):
-            load_events(path, ALLOWED)  # of the first the library would end the process
+            load_events(path, ALLOWED)  # the first would make the library end the process
 
 
 def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
@@ -137,7 +137,7 @@ def test_a_bag_of_both_cameras_is_read_topic_by_topic(kind, tmp_path):
         assert not is_track_file(bag / topic)
     assert is_track_file(bag / "seen")
     found = load_track(bag / "seen")
-    # Header times are whole nanoseconds, which doubles of today's seconds do not tell apart.
+    # Header times are whole nanoseconds, which float64 of Unix seconds does not resolve.
     np.testing.assert_allclose(found.times_s, TRACK.times_s, atol=5e-7, rtol=0)
     np.testing.assert_array_equal(found.points_px, TRACK.points_px)
     assert found.sigmas_px is None

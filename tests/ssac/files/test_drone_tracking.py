@@ -1,4 +1,4 @@
-"""A folder in the layout of the public data sets, of our own making: read and synchronised."""
+"""A synthetic folder in the layout of the public data sets is read and synchronised."""
 
 import json
 import shutil
@@ -82,7 +82,7 @@ def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
 
 
 def run_pairs(data, work, numbers):
-    """Give the tables of all pairs of some data sets."""
+    """Return the tables of all pairs of some data sets."""
     return pair_tables(data_sets(data, work, lambda line: None, numbers))
 
 
@@ -92,8 +92,8 @@ def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
     assert row["status"] == "ok"
     # Labels are put on whole frames: +-0.13 frames of either camera, at most 10 ms together.
     assert abs(row["t_d_s"] - OFFSET_S) < 0.01
-    assert 0.0 <= row["readout_1_ms"] < 4.0 * row["readout_1_std_ms"]  # none, in truth
-    assert row["t_d_std_ms"] > row["global_std_ms"]  # less is known where readouts are not
+    assert 0.0 <= row["readout_1_ms"] < 4.0 * row["readout_1_std_ms"]  # the truth is 0
+    assert row["t_d_std_ms"] > row["global_std_ms"]  # unknown readouts leave less known
     assert [len(tables[name]) for name in (TRIPLES, STRAYS)] == [0, 0]
     strays = pd.DataFrame([(2, 0, 1, 3.0, 1.0, 0.5)], columns=STRAY_COLUMNS)
     *small, above = real_figure(SimpleNamespace(table={**tables, STRAYS: strays}.get)).axes
@@ -138,7 +138,7 @@ def test_a_bad_data_set_is_one_line(data, tmp_path, name, text, message):
 
 
 def test_the_closure_of_true_clocks_is_nothing():
-    knots = np.array([20.0, 40.0]), np.array([0.01, 0.03])  # it wanders, too
+    knots = np.array([20.0, 40.0]), np.array([0.01, 0.03])  # the first clock wanders, too
     clocks = {(0, 1): Clock(3.0, 1e3, 10.0, *knots), (1, 2): Clock(-5.0, -3e5, 20.0)}
     direct_s = float(clocks[1, 2].cam2_from_cam1(clocks[0, 1].cam2_from_cam1(30.0))) - 30.0
     clocks[0, 2] = Clock(direct_s, 0.0, 30.0)

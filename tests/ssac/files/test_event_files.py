@@ -1,4 +1,4 @@
-"""Events of all formats: read as they were written, refused with what is wrong, written whole."""
+"""Event files of all formats are read as written, refused with the reason, and written whole."""
 
 import os
 import tracemalloc
@@ -32,7 +32,7 @@ FIRST_US = 20_000_000  # EVT3's 24-bit clock has overflowed once by then
 
 @st.composite
 def some_events(draw, first_us=None):
-    """Fewer than make a damaged block of equal ones, in order, some at one time."""
+    """Sorted events, some at one time; too few for equal ones to count as a damaged block."""
     n = draw(st.integers(1, 31))
     steps_us = draw(arrays(np.int64, n, elements=st.integers(0, 50_000)))
     sides = ((WIDTH - 1, np.int64), (HEIGHT - 1, np.int64), (1, np.int64))
@@ -62,7 +62,7 @@ def faerys(version=None, zero_t0=True):
 
 
 def evt2_of_a_camera(path, events):
-    """Absolute times: a TIME_HIGH (bits 6 to 33 of t) before each event."""
+    """Write absolute times: a TIME_HIGH (bits 6 to 33 of t) before each event."""
     words = []
     for t, x, y, p in events.tolist():
         words.append(0x8 << 28 | t >> 6)
@@ -72,7 +72,7 @@ def evt2_of_a_camera(path, events):
 
 
 def evt3_of_a_camera(path, events):
-    """Words from the camera's start at t = 0 on, with every TIME_HIGH (bits 12 to 23)."""
+    """Write words from the camera's start at t = 0, with every TIME_HIGH (bits 12 to 23 of t)."""
     words, high = [], -1
     for t, x, y, p in events.tolist():
         while high < t >> 12:
@@ -114,7 +114,7 @@ def bag_of(messages):
 
 
 def bag_of_words(encoding, of_a_camera, n_bytes, is_bigendian=False):
-    """Words of a camera, cut into packets anywhere; the first of them tell no time yet."""
+    """A bag of a camera's words, cut into packets anywhere; the first packet has no time yet."""
 
     def write(path, events):
         of_a_camera(path, events)
@@ -185,7 +185,7 @@ def test_events_come_back_as_they_were_recorded(name, tmp_path_factory, monkeypa
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", BAGS)
 def test_a_bag_changed_at_any_place_is_refused_or_can_be_used(name, tmp_path_factory):
-    """One error that names it; of the other formats tests/test_damaged_inputs.py says more."""
+    """A refusal names the bag; tests/test_damaged_inputs.py tests the other formats further."""
     path = tmp_path_factory.mktemp("damage") / name
     FORMS[name](path, random_events(300))
     whole, readings = path.read_bytes(), st.sampled_from([Reading(), Reading(allow_damaged=True)])
@@ -225,7 +225,7 @@ def test_camera_2_is_written_on_camera_1s_clock(tmp_path, suffix, clock):
     cam2["t"] = np.rint(1e6 * clock.cam2_from_cam1(cam1["t"] * 1e-6))
     write_synced(path, EventFile(cam2, WIDTH, HEIGHT), clock)
     after = load_events(path).events
-    # Both conversions round, where the clocks run differently.
+    # Where the rates of the clocks differ, both conversions round.
     assert np.abs(after["t"] - cam1["t"]).max() <= (not clock.is_delay)
     np.testing.assert_array_equal(after[["x", "y", "p"]], cam1[["x", "y", "p"]])
     with pytest.raises(SsacError, match=r"cannot write the extension '\.raw': use one of"):
@@ -268,7 +268,7 @@ def test_text_as_others_write_it(tmp_path, name, text, events, size):
 SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
 
 
-@pytest.mark.filterwarnings("error")  # none beside an error
+@pytest.mark.filterwarnings("error")  # no warning comes with an error
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -355,7 +355,7 @@ def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_pa
 def test_reading_needs_little_more_memory_than_the_events(tmp_path):
     events = random_events(200_000)
     save_events_h5(tmp_path / "cam1.h5", events, WIDTH, HEIGHT)
-    load_events(tmp_path / "cam1.h5")  # loads the compiled checks, which are not meant
+    load_events(tmp_path / "cam1.h5")  # loads the compiled checks, whose memory is not counted
     tracemalloc.start()
     load_events(tmp_path / "cam1.h5")
     peak = tracemalloc.get_traced_memory()[1]

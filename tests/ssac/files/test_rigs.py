@@ -46,7 +46,7 @@ def test_kalibr_camchain(tmp_path):
 
 
 def test_deviations_of_the_intrinsics_and_the_readout(tmp_path):
-    # Where a file says nothing: 0.1 % of the focal lengths of 200 and 201 px, 0.3 px of the centre.
+    # The defaults: 0.1 % of the focal lengths, 200 and 201 px, and 0.3 px of the principal point.
     rig = load_rig(_write(tmp_path / "rig.yaml", _kalibr()))
     np.testing.assert_allclose(rig.cam1.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
     document = _kalibr()
@@ -93,7 +93,7 @@ def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
     assert (given["--frame-id"], given["--child-frame-id"]) == ("cam0", "cam1")
     place = [float(given[f"--{name}"]) for name in ("x", "y", "z")]
     turn = Rotation.from_quat([float(given[f"--{name}"]) for name in ("qx", "qy", "qz", "qw")])
-    # A point of the second frame, seen from the first; nine digits are written.
+    # The point T of the first frame, brought back from the second; nine digits are written.
     np.testing.assert_allclose(turn.apply(R @ T + T) + place, T, atol=1e-7)
 
 
@@ -132,7 +132,7 @@ MISSING = object()
         ("cam1", "length_unit", "mm", "length_unit: expected m or first_baseline, got mm"),
         ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 finite"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
-        # A hundredth longer than a rotation; four digits are off by a ten thousandth.
+        # A hundredth longer than a rotation; rounding to four digits changes a ten thousandth.
         ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, 2, 1]).tolist(), "R'R differs from I by 3"),
         *(
@@ -233,7 +233,7 @@ def test_the_resolution_must_be_the_recordings():
 
 def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
     document, T_3_2 = _kalibr(), np.eye(4)
-    # Another turn about another axis: which of the two steps comes first makes a difference.
+    # A rotation about another axis, so that the order of the two steps makes a difference.
     T_3_2[:3, :3], T_3_2[:3, 3] = cv2.Rodrigues(np.array([0.7, 0.1, -0.3]))[0], (-1.0, 2.0, 0.5)
     other = {"intrinsics": [300.0, 301.0, 173.0, 130.0], "T_cn_cnm1": T_3_2.tolist()}
     document["cam2"] = document["cam1"] | other

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and what a killed process leaves is told from the rest."""
+"""Files are written whole or not at all, and what a killed process leaves is recognised."""
 
 import errno
 import os
@@ -27,7 +27,7 @@ from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
 
 def test_no_name_is_given_twice_and_each_tells_its_maker(tmp_path):
     paths = [temporary_path(tmp_path / "a.csv") for _ in range(100)]
-    # The simulator's names tell the same: neither side imports the other, and has its own lines.
+    # The simulator's names say the same, by code of its own: neither package imports the other.
     paths += [partial_path(tmp_path, "recording") for _ in range(2)]
     assert len(set(paths)) == 102
     assert all(f".{module.host()}.{os.getpid()}." in path.name for path in paths)
@@ -44,7 +44,7 @@ def test_long_names_have_temporary_ones_too(tmp_path, name):
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="told by Linux' /proc")
 def test_a_process_that_nobody_asked_how_it_ended_has_ended(tmp_path):
     process = subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE)
-    process.stdout.read()  # until it ends; its number stays until we wait for it
+    process.stdout.read()  # until it ends; its process id stays until we wait for it
     path = made_by(tmp_path / "a", process.pid)
     while not is_left_over(path):
         time.sleep(0.01)  # its pipes close just before it ends
@@ -58,7 +58,7 @@ def test_on_another_host_time_decides(tmp_path):
     assert not is_left_over(folder)
     let_lie(folder, LEFT_OVER_S + 60.0)
     assert is_left_over(folder)
-    (folder / "cam1.h5").write_text("still at it")  # which leaves the folder's own time alone
+    (folder / "cam1.h5").write_text("still at it")  # the folder's own time stays as it is
     assert not is_left_over(folder)
 
 

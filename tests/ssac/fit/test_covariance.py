@@ -22,7 +22,7 @@ def waves(times_s, p, rng):
 
 
 def left_of(jacobian, noise):
-    """What a fit of noise alone leaves, and the parameters that it finds."""
+    """Return the residuals of a fit to noise alone, and the parameters that it finds."""
     found = np.linalg.lstsq(jacobian, noise)[0]
     return noise - jacobian @ found, found
 
@@ -39,7 +39,7 @@ def deviations_of(*seen, **options):
 
 
 def correlation(times_s, series, time_s):
-    """Correlations (n, n) of residuals that fade in `time_s` and only within a series."""
+    """Correlations (n, n) of residuals, which fade in `time_s`, and are 0 between series."""
     lags_s = np.abs(times_s[:, None] - times_s)
     fading = np.exp(-lags_s / time_s) if time_s else (lags_s == 0.0).astype(float)
     return fading * (series[:, None] == series)
@@ -81,7 +81,7 @@ def test_it_is_the_dense_estimator(are_alike):
     widening = student.ppf(0.975, independent - p) / 1.96
     expected = widening**2 * bread @ jacobian.T @ gamma @ jacobian @ bread
     found = covariance_of(times_s, jacobian, slopes, curvatures, kinds=kinds)
-    found, expected = found[1:, 1:], expected[1:, 1:]  # without what series have in common
+    found, expected = found[1:, 1:], expected[1:, 1:]  # parameter 0 counts common noise, too
     # The prior of 1e3 per parameter, and rounding.
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
@@ -98,12 +98,12 @@ def test_intervals_and_regions_hold_the_truth(fades_in_s):
         covariance = covariance_of(TWICE_S, jacobian, left)
         errors.append(np.abs(found) / np.sqrt(np.diag(covariance)))
         distances.append(found[1:] @ np.linalg.solve(covariance[1:, 1:], found[1:]))
-    # 150 runs of 6 parameters, of which perhaps 3 are independent: 95 +- 1 %, three times that.
+    # 150 runs of 6 parameters, of which perhaps 3 are independent: 95 +- 1 %; three deviations.
     assert np.mean(np.array(errors) < 1.96) == pytest.approx(0.95, abs=0.03)
-    # The first parameter's series look less alike than they are: 6 of 50 degrees of freedom.
+    # The fit takes 6 of 50 degrees of freedom: parameter 0's series seem less alike than they are.
     assert np.mean(np.array(errors)[:, 0] < 1.96) > 0.88
     # chi^2 of 5 parameters: the mean of 150 runs is known to 5 %, and the regions are a little
-    # too small as the covariance is not known exactly: as many degrees of freedom, once more.
+    # too small, as the covariance comes from as few degrees of freedom.
     assert np.mean(distances) == pytest.approx(5.0, rel=0.25)
 
 
@@ -131,8 +131,8 @@ def test_one_parameter_may_have_series_with_common_noise(sign):
         noise = np.concatenate([first, sign * first + (1.0 - abs(sign)) * second])
         left, found = left_of(jacobian, noise)
         errors.append(found[0] / deviations_of(TWICE_S, jacobian, left)[0])
-    # 400 runs know the root mean square to 3.5 %. It is to be a little below 1, by Student's factor
-    # and by slow components that happen to be found.
+    # 400 runs give the root mean square to 3.5 %. It should be a little below 1, by Student's
+    # factor and by slow components that are found by chance.
     assert 0.85 < np.sqrt(np.mean(np.square(errors))) < 1.07
 
 
@@ -160,7 +160,7 @@ def test_what_the_data_do_not_tell_is_unknown(share):
     assert deviations[0] < 1.0
     assert np.all(deviations[1:] > 0.5 * PRIOR)
     together = np.array([0.0, 1.0, 1.0])
-    assert together @ covariance @ together < 1e-3 * PRIOR**2  # what is seen is known
+    assert together @ covariance @ together < 1e-3 * PRIOR**2  # their sum is known
 
 
 @pytest.mark.parametrize(
@@ -193,19 +193,19 @@ def test_what_series_have_in_common_counts_for_the_clock_alone(are_opposite):
     )
     assert both[0] == one[0]
     if are_opposite:
-        # Opposite errors cancel in the offset, the first of the clock's parameters. A rate drifts
-        # with what is in common, so that its deviation is never the smaller for it.
+        # Opposite errors cancel in the offset, the first of the clock's parameters. Common errors
+        # make a rate drift, so that they never lessen its deviation.
         assert one[0] < 0.8 * apart[0]
-        kept = deviations_of(TWICE_S, jacobian, left, lessens=False)  # where that is not wanted
+        kept = deviations_of(TWICE_S, jacobian, left, lessens=False)  # cancelling is ignored
         assert kept[0] == apart[0]
-        for time in (0.1, 1.0):  # 1 s is too short to tell it, 10 s are not
+        for time in (0.1, 1.0):  # 1 s is too short to show this, 10 s are not
             seen = time * TWICE_S, jacobian, left
             cautious, bold = (deviations_of(*seen, cautious=on)[0] for on in (True, False))
             widened = student_factor(time * np.ptp(TWICE_S) / max(RULES.fading_s))
             assert (cautious > 1.2 * widened * bold) == (time < 1.0)
         assert both[1] == one[1] == apart[1]
     else:
-        assert both[1] > 1.2 * one[1]  # twice the variance, of two that are one
+        assert both[1] > 1.2 * one[1]  # equal series: twice the variance
         assert both[2] == one[2]
 
 
@@ -216,8 +216,8 @@ def test_what_was_known_beforehand_takes_no_degree_of_freedom():
     known = np.append([PRIOR, PRIOR], np.full(6, 1e-9))
     alone = covariance_of(times_s, jacobian[:, :2], left)
     held = covariance_of(times_s, jacobian, left, known=known)
-    # Six parameters that are known to 1e-9 are none: of 12 residuals 2 are used up, not 8. Of those
-    # few the correlations are hardly known, so that 4 degrees of freedom would double a deviation.
+    # Six parameters that are known to 1e-9 take none: of 12 residuals, 2 are used up, not 8. The
+    # correlations of so few are hardly known: 4 degrees of freedom would double a deviation.
     np.testing.assert_allclose(held[:2, :2], alone, rtol=1e-3)
     # What the data do not tell has the deviation that was known.
     np.testing.assert_allclose(np.sqrt(np.diag(held)[2:]), 1e-9, rtol=0.3)

@@ -1,4 +1,4 @@
-"""The one solver: columns, priors, uncertain intrinsics, and deviations that grow by them."""
+"""The least-squares solver: columns, priors, and uncertain intrinsics that widen deviations."""
 
 from dataclasses import replace
 
@@ -36,9 +36,9 @@ TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
 
 
 def pairs_of(seen_s, noise_px, seed, fades_in=0.0):
-    """Pairs at TIMES_S, of which camera 2's are as the object was at times of their own.
+    """Pairs at TIMES_S, in which camera 2 sees the object as it was at `seen_s`.
 
-    Their noise has the deviation `noise_px`, and fades in so many samples.
+    The noise has the deviation `noise_px`, and its correlation fades in `fades_in` samples.
     """
     p1, _ = track_pair(SCENE, TIMES_S)
     p2, late, early = (track_pair(SCENE, seen_s + step)[1] for step in (0.0, 1e-4, -1e-4))
@@ -60,7 +60,7 @@ def rate_problem(seed=0, noise_px=0.1, fades_in=0.0, **options):
 
 
 def left_by_fit(problem):
-    """The residuals of a solution: the loss of `tangency` turns within the noise, so slowly."""
+    """Residuals at a solution, found slowly, as the loss of `tangency` turns within the noise."""
     return linearise(problem, solve(problem, TRUTH, max_steps=100).parameters)
 
 
@@ -76,7 +76,7 @@ def test_a_clock_rate_is_one_more_column(turn, pose_is_known):
     assert len(deviations) == (2 if pose_is_known else 7)
     assert found.parameters.t_d_s == pytest.approx(T_D_S, abs=4 * deviations[0])
     assert found.parameters.columns == pytest.approx([RATE], abs=4 * deviations[-1])
-    assert 1e-6 < deviations[-1] < 0.4 * RATE  # so that it is told from none
+    assert 1e-6 < deviations[-1] < 0.4 * RATE  # the rate is told from 0
     without = solve(replace(problem, columns=()), TRUTH, max_steps=100).parameters
     assert len(without.columns) == 0
 
@@ -107,20 +107,20 @@ def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
         free = rate_problem(seed, turn=turn, fades_in=fades_in)
         found = left_by_fit(free)
         std = np.sqrt(found.covariance()[-1, -1])
-        assert 0.05 * RATE < std < RATE  # neither tells all
+        assert 0.05 * RATE < std < RATE  # data and prior both count
         for scale_px, given in ((found.fair_scales()[-1], shares), (np.nan, unfair)):
             prior = Prior(FIRST_COLUMN, 0.0, std, scale_px)
             held = left_by_fit(replace(free, priors=(prior,)))
             given.append(held.parameters.columns[0] / found.parameters.columns[0])
-    # One half each. A loss that turns within slow noise has several minima, and a prior may leave
-    # one for another: hence the median.
+    # One half each. A loss that turns within slow noise has several minima, and a prior may move
+    # the solution from one to another: hence the median.
     assert np.median(shares) == pytest.approx(0.5, abs=0.1)
-    if fades_in and turn == CAUCHY:  # what an independent residual counts, slow errors outvote
+    if fades_in and turn == CAUCHY:  # slow errors outvote a prior that counts as one residual
         assert unfair[0] > 0.8
 
 
 def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differences():
-    """Of all columns, one of which, a focal length, moves both views."""
+    """All columns are tried, one of which, a focal length, moves both views."""
     problem = rate_problem()
     weights = np.random.default_rng(1).uniform(0.5, 2.0, N)
     problem = replace(problem, pairs=replace(problem.pairs, weights=weights))
@@ -143,7 +143,7 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
 def test_steps_that_run_out_are_said():
     found = solve(rate_problem(), TRUTH, max_steps=1)
     assert not found.converged
-    assert solve(rate_problem(), TRUTH, max_steps=5, last_step=0.0).converged  # all asked for
+    assert solve(rate_problem(), TRUTH, max_steps=5, last_step=0.0).converged  # all steps are taken
 
 
 # --- Uncertain intrinsics ---
@@ -171,7 +171,7 @@ def problem_of(rig, noise_px=0.0, seed=0, **options):
 
 
 def fitted(problem):
-    """What is left at the solution of a problem with all that is to be allowed for."""
+    """Residuals at the solution of a problem that allows for errors of the intrinsics."""
     allowance = intrinsics.Allowance(problem.rig)
     first = solve(problem, TRUTH).parameters
     allowance.learn(problem, first)
@@ -226,10 +226,10 @@ def test_larger_deviations_state_larger_ones(pose_is_known):
         rig = rig_of(0.001 * factor, 0.3 * factor)
         covariance = fitted(problem_of(rig, 0.3, pose_is_known=pose_is_known)).covariance()
         deviations.append(np.sqrt(np.diag(covariance)[: 1 if pose_is_known else 6]))
-    # The intrinsics take a part of the noise, and what is left is less by up to 2 %.
+    # The intrinsics absorb a part of the noise, which lessens the residuals by up to 2 %.
     assert np.all(np.diff(deviations, axis=0) > -0.02 * np.array(deviations)[:-1])
     if not pose_is_known:
-        # Ten times a good calibration's deviations are more than this noise is worth.
+        # Ten times a good calibration's deviations outweigh this noise.
         assert np.all(np.array(deviations)[-1, 1:] > 3.0 * np.array(deviations)[0, 1:])
 
 
@@ -240,11 +240,11 @@ def test_drawn_errors_are_within_the_stated_deviations(seed):
     residuals = fitted(problem_of(rig_of(0.01, 3.0, **shares), 0.3, seed))
     covariance, found = residuals.covariance(), residuals.parameters
     error = rotation_angle_deg(found.R, SCENE.R)
-    # 3.5 deviations of the one angle that strays most.
+    # 3.5 deviations of the least certain angle.
     assert np.radians(error) < 3.5 * np.sqrt(np.linalg.eigvalsh(covariance[1:4, 1:4])[-1])
     assert abs(found.t_d_s) < 3.5 * np.sqrt(covariance[0, 0])
-    # The priors are weaker than this noise for the ratio fu / fv alone, so that the pose of exact
-    # intrinsics is nowhere nearer; F is of the points, whatever it is made of.
+    # Only for the ratio fu / fv are the priors weaker than this noise, so that the pose comes no
+    # nearer to that of exact intrinsics; F fits the points, whatever the intrinsics.
     F = fundamental_from_pose(*intrinsics.intrinsics_of(residuals.problem, found), found.R, found.t)
     p1, p2 = track_pair(SCENE, TIMES_S)
     assert np.median(np.abs(sampson_distance(F, p1, p2))) < 0.1  # of 0.3 px noise at 400 pairs
@@ -261,7 +261,7 @@ def test_evidence_against_the_intrinsics():
 
 
 def test_what_a_clock_strays_unseen_makes_no_prior_heavy():
-    """Within a gap the data leave strays open; modes go all along, so each has a part in it."""
+    """The data leave strays within a gap open; each mode spans all times, also those of the gap."""
     pairs, kept = pairs_of(TIMES_S, 0.3, 0), np.abs(SINCE_S) >= 0.2 * np.ptp(TIMES_S)
     arrays = pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.v2_px_s, pairs.weights
     pairs = WeighedPairs(*(values[kept] for values in arrays), pairs.t_d_s)
@@ -278,6 +278,6 @@ def test_what_a_clock_strays_unseen_makes_no_prior_heavy():
     allowance = intrinsics.Allowance(problem.rig, has_priors=True)
     allowance.learn(problem, first)
     scales_px = np.array([prior.scale_px for prior in allowance.added(problem).priors])
-    # White noise: each residual is independent, so that a prior counts as one. The fit takes up a
-    # tenth of the noise, and the correlations of what is left are known to some 10 %.
+    # White noise: each residual is independent, so that a prior counts as one. The fit absorbs a
+    # tenth of the noise, and the correlations of the residuals are known to some 10 %.
     assert scales_px == pytest.approx(np.full(len(scales_px), 0.3), rel=0.3)

@@ -54,7 +54,7 @@ def test_distance_is_measured_in_image_1(exact):
 
 
 def test_a_point_without_a_line_has_no_finite_distance():
-    """Bug: a line at infinity warned of a division by zero."""
+    """A line at infinity gives no warning of a division by zero."""
     F = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # l1 = (1, 0, x2)
     at_infinity = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (x2, 0, 1)
     p1, p2 = np.array([[3.0, 4.0]]), np.array([[0.0, 5.0]])
@@ -226,7 +226,7 @@ def test_a_plane_between_the_cameras_gives_their_pose():
     sides = np.array([-1.0, -R.T[0] @ t - 0.2 * R.T[2] @ t - 1.0])
     assert sides[0] * sides[1] < 0.0
     distance, poses = homography_poses(*seen)
-    assert distance < ROUNDING  # as OpenCV solves for a homography
+    assert distance < ROUNDING  # error of OpenCV's homography
     t = t / np.linalg.norm(t)
     errors = [np.abs(at_R - R).max() + np.abs(at_t - t).max() for at_R, at_t in poses]
     assert min(errors) < ROUNDING

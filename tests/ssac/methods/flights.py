@@ -1,4 +1,4 @@
-"""Flights that leave something open, before two cameras 90 degrees apart, and what is found."""
+"""Flights that leave offset or pose open, seen by two cameras 90 degrees apart."""
 
 from dataclasses import replace
 from functools import cache
@@ -17,7 +17,7 @@ AXES = np.linalg.qr(np.array([[1.0, 0.3, 0.5], [0.2, 1.0, -0.4], [-0.3, 0.1, 1.0
 
 
 def scene_of(path, angle_deg=90.0):
-    """A scene of a path: times (n,) [s] -> positions (n, 3) [m] in camera 1's frame."""
+    """Return a scene whose path maps times (n,) [s] to positions (n, 3) [m] in camera 1's frame."""
     return replace(make_scene(0, angle_deg, DURATION_S), path=path)
 
 
@@ -27,7 +27,7 @@ def seen(scene, seed=0, t_d_s=T_D_S):
 
 @cache
 def flown(path):
-    """The chain of a path's recording; its methods share what they start from."""
+    """Return the chain of a path's recording; the methods share its cached stages."""
     scene = scene_of(path)
     return Chain(seen(scene), scene.rig)
 

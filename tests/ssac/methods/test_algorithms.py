@@ -31,7 +31,7 @@ def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried
     fast = method(*cameras, scene.rig, config)
     slow = method(*cameras, scene.rig, replace(config, exhaustive=True))
     assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)  # the same cost on the same grid
-    # The bound of 400 windows with 0.3 px of noise is 0.16 ms. Five times that.
+    # The tolerance is five times the bound of 400 windows with 0.3 px of noise, 0.16 ms.
     assert fast.t_d_s == pytest.approx(t_d_s, abs=0.8e-3)
     assert len(slow.candidates_s) == tried
 
@@ -39,13 +39,13 @@ def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried
 def test_magsac_is_an_alternative_to_lmeds(flight):
     scene, cameras = flight
     estimate = ssac(*cameras, scene.unknown_rig, replace(CLEAN, robust="magsac"))
-    # As the bound, of MAGSAC's best minimal sample alone.
+    # The tolerances are wide because MAGSAC returns its best minimal sample alone.
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=0.001)
     assert rotation_angle_deg(estimate.R, scene.R) < 1.5
 
 
 def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
-    """Bug: MAGSAC++ may find no model of the final pairs, and the decomposition of F fell over."""
+    """Bug: where MAGSAC++ found no model of the final pairs, the decomposition of F crashed."""
     scene, cameras = flight
 
     def fits_but_at_last(p1_px, p2_px, trials, seed):
@@ -60,7 +60,7 @@ def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
 
 
 def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
-    """Bug: tracks were said to need 200 events in a window."""
+    """Bug: the refusal asked tracks for 200 events in a window."""
     scene = make_scene(seed=0, duration_s=4.0)
     times_s = np.arange(0.0, 4.0, 0.01)
     parts = (times_s < 1.0) | (times_s > 3.985), (times_s > 3.0) | (times_s < 0.005)
@@ -82,7 +82,7 @@ def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
 
 @pytest.fixture(scope="module")
 def flickering():
-    """A camera whose events' rate changes at random every 50 ms for 10 s, and frames every 20."""
+    """A camera of 10 s: its event rate changes at random every 50 ms, and it has 50 frames/s."""
     rng = np.random.default_rng(0)
     rates = rng.uniform(1_000.0, 20_000.0, 200)
     times_s = [0.05 * (i + rng.random(rng.poisson(0.05 * r))) for i, r in enumerate(rates)]
@@ -111,7 +111,7 @@ def test_delayed_signals_are_recovered(method, unit_s, flickering):
     between = method(flickering, flickering.delayed(0.0337), CLEAN)
     assert between.t_d_s == pytest.approx(0.0337, abs=unit_s)
     units = between.t_d_s / unit_s
-    assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
+    assert units == pytest.approx(round(units), abs=1e-7)  # rounding, divided by the unit
 
 
 def test_what_is_compared_of_frames_is_their_mean():
@@ -126,13 +126,13 @@ def test_what_is_compared_of_frames_is_their_mean():
     rig = Rig(CAMERA, CAMERA)
     whole, floating, means = (zncc_f(*pair, rig) for pair in zip(*cameras, strict=True))
     assert np.isfinite(whole.costs).sum() > 40
-    # Sums of whole numbers are exact. NaN where less than half overlaps.
+    # Sums of whole numbers are exact. Costs are NaN where less than half overlaps.
     assert np.array_equal(whole.costs, floating.costs, equal_nan=True)
     assert np.array_equal(whole.costs, means.costs, equal_nan=True)
 
 
 def test_albl_recovers_large_offsets_or_refuses():
-    # More than the object takes to turn round, so that often no growing step leads there.
+    # The object reverses within most of these offsets, so that often no growing step leads there.
     n_right = 0
     for seed, t_d_s in ((0, -0.8), (0, 0.05), (1, 0.5), (1, -0.2), (2, -0.8), (2, 0.5)):
         scene = make_scene(seed, duration_s=6.0)
@@ -145,7 +145,7 @@ def test_albl_recovers_large_offsets_or_refuses():
             assert estimate.status == "no_convergence"
             assert np.isnan(estimate.t_d_s)
             assert "local optimum" in estimate.reason
-    assert n_right >= 4  # of 6; from those refused no growing step leads to the offset
+    assert n_right >= 4  # of 6; no growing step leads to the offsets that are refused
 
 
 def test_zncc_is_one_for_scaled_signals_at_their_lag():
@@ -158,7 +158,7 @@ def test_zncc_is_one_for_scaled_signals_at_their_lag():
 
 
 def test_events_are_counted_by_whole_microseconds():
-    # A time on the bound of two bins belongs to the later one, and bins go on below zero.
+    # A time on the border of two bins is in the later bin, and bins continue below zero.
     counts = correlations.counted(np.array([-10_001, -10_000, 0, 9_999, 10_000, 35_000]), 10_000)
     assert counts.first_bin == -2
     assert counts.values.tolist() == [1.0, 1.0, 2.0, 1.0, 0.0, 1.0]
@@ -181,7 +181,7 @@ def test_constant_signals_are_refused():
 
 
 def test_albl_says_that_no_pairs_agree(flight):
-    """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
+    """Bug: if no shift stayed within the interval, the reason was "too few" valid pairs."""
     scene, cameras = flight
     config = replace(CLEAN, interval_s=(T_D_S, T_D_S + 1e-7))
     estimate = albl(*cameras, scene.unknown_rig, config)

@@ -1,4 +1,4 @@
-"""The refinement of tracks with white noise in place of events, on clocks of their own."""
+"""The joint refinement, and the clock of camera 2, on tracks with white noise, not on events."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,11 +26,11 @@ DELAYED = Clock(T_D_S)
 
 
 class WhiteMotion:
-    """Stands for an ObjectMotion: the true track plus the same noise for sample i at any time."""
+    """Stands for an ObjectMotion: the true track, and noise that depends on the index alone."""
 
     def __init__(self, scene, view, clock, noise):
         self.scene, self.view, self.clock, self.noise = scene, view, clock, noise
-        self.jump = (np.inf, 0.0)  # camera 1's time of it, and its size [s]
+        self.jump = (np.inf, 0.0)  # a jump's time on camera 1's clock, and its size [s]
         self.span_s = tuple(clock.cam2_from_cam1(np.array([0.0, scene.duration_s])).tolist())
 
     def _true(self, times_s):
@@ -56,7 +56,7 @@ class WhiteMotion:
 def white_views(
     scene, sigma_px, seed=0, shown=DELAYED, known=False, bias_px=0.0, jump=None, **options
 ):
-    """Both views of a flight; camera 2 shows a clock, and its points are off by a bias downward."""
+    """Views of a flight; camera 2's clock is `shown`, and its points have a downward bias."""
 
     def noise(view, shape):
         drawn = np.random.default_rng((seed, view)).normal(0.0, sigma_px, (*shape, 2))
@@ -78,7 +78,7 @@ VIEWS = white_views(SCENE, 0.3)
 
 
 def cramer_rao(scene, sigma_px, n=400):
-    """Cramer-Rao bounds on the deviations of t_d [s], R [deg] and t [deg], in rays."""
+    """Return the Cramer-Rao bounds on the deviations of t_d [s], R [deg] and t [deg]."""
     times_s = (np.arange(n) + 0.5) * scene.duration_s / n
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
@@ -102,12 +102,12 @@ def test_zero_noise_and_a_wrong_start_give_the_truth():
     start = moved(Parameters(truth.t_d_s, truth.R, truth.t), step)
     wrong = replace(truth, t_d_s=start.t_d_s, R=start.R, t=start.t)
     found = refine(wrong, white_views(scene, 0.0))
-    assert np.all(np.abs(errors_of(found, scene)) < [1e-5, 1e-3, 1e-3])  # where rounds may stop
+    assert np.all(np.abs(errors_of(found, scene)) < [1e-5, 1e-3, 1e-3])  # where the rounds stop
 
 
 @pytest.mark.parametrize(("sigma_px", "duration_s"), [(0.9, 20.0), (0.2, 10.0)])
 def test_errors_follow_the_cramer_rao_bound(sigma_px, duration_s):
-    n = int(20 * duration_s)  # the same sampling rate: longer recordings tell more
+    n = int(20 * duration_s)  # the same sampling rate: longer recordings have more samples
     ratios, normalised = [], []
     for seed in range(40):
         scene = make_scene(seed % 8, duration_s=duration_s)
@@ -116,9 +116,9 @@ def test_errors_follow_the_cramer_rao_bound(sigma_px, duration_s):
         ratios.append(errors / cramer_rao(scene, sigma_px, n))
         normalised.append(errors[0] / estimate.t_d_std_s)
     rms = np.sqrt(np.mean(np.square(ratios), axis=0))
-    # Cauchy's loss loses 2.5 % of deviation; 40 runs know their rms to 11 %, three times that.
+    # Cauchy's loss adds 2.5 % to deviations. The rms of 40 runs is known to 11 %: three times that.
     assert np.all((rms > 0.65) & (rms < 1.4))
-    # The estimated deviation of t_d is the true one; a little small for 40 correlation times.
+    # The estimated deviation of t_d is the true one; 40 correlation times make it a little small.
     assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(1.0, abs=0.4)
 
 
@@ -126,9 +126,9 @@ def test_a_bias_that_no_residual_shows_is_allowed_for():
     clean, biased = (
         refine(truth_of(SCENE), white_views(SCENE, 0.1, bias_px=bias_px)) for bias_px in (0.0, 0.4)
     )
-    assert biased.d_avg_px < 1.05 * clean.d_avg_px  # the pose has taken it
+    assert biased.d_avg_px < 1.05 * clean.d_avg_px  # the pose absorbs the bias
     error_deg = rotation_angle_deg(biased.R, SCENE.R)
-    # The points are 14 px large, of which the bias is 3 %: as large as it is expected to be.
+    # The bias is 3 % of the images' 14 px, about the size that the prior expects.
     assert error_deg > 5.0 * cramer_rao(SCENE, 0.1)[1]
     assert 0.3 * biased.r_std_deg < error_deg < 2.0 * biased.r_std_deg
 
@@ -136,7 +136,7 @@ def test_a_bias_that_no_residual_shows_is_allowed_for():
 @pytest.mark.parametrize("view", [0, 1])
 @pytest.mark.parametrize("part", range(3))
 def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
-    """A bias is anywhere, or goes with x / z or y / z of the view's own camera."""
+    """A bias is constant, or proportional to x / z or y / z of the view's own camera."""
     scene = replace(SCENE, cam2=OTHER)
     points = track_pair(scene, np.linspace(0.5, 19.5, 50))
     K1, K2 = scene.rig.cam1.K, scene.rig.cam2.K
@@ -151,12 +151,12 @@ def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
             for sign, both in ((1.0, enumerate(points)), (-1.0, enumerate(points)))
         )
         column = found[:, 6 * view + 3 * axis + part]
-        # Rounding over the step.
+        # The tolerance is rounding, divided by the step.
         np.testing.assert_allclose(column, (upper - lower) / (2.0 * step), atol=1e-6)
 
 
 def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
-    """Bug: a refinement of a circling drone reached an offset without a pair, and fell over."""
+    """Bug: a refinement of a circling drone reached an offset without pairs, and crashed."""
     start = truth_of(SCENE, t_d_s=0.06)
     seen = VIEWS.motion2.sharp_at
 
@@ -172,8 +172,8 @@ def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
 
 
 def test_steps_that_run_out_are_refused(monkeypatch):
-    """Bug: what the last step had reached was "ok"."""
-    # With a prior of the skew there are two rounds at least.
+    """Bug: where the steps ran out, the last one's result was "ok"."""
+    # The skew has no prior here, as with a prior there are two rounds at least.
     views, start = white_views(SCENE, 0.3, skew_prior_ppm=0.0), truth_of(SCENE, t_d_s=0.06)
     monkeypatch.setattr(clocks, "solve", partial(solve, max_steps=1, last_step=1e-12))
     estimate = refine(start, views.by(joint=JointRules(last_shift_s=1.0)))
@@ -196,7 +196,7 @@ def views_of(shown=DELAYED, **options):
 
 
 def clock_errors_of(found, shown, times_s=TIMES_S):
-    """What a clock that was found shows otherwise; all within four of its deviations."""
+    """Return the errors [s] of a clock that was found, each within four of its deviations."""
     errors_s = found.clock.cam2_from_cam1(times_s) - shown.cam2_from_cam1(times_s)
     assert found.status == "ok"
     assert (np.abs(errors_s) < 4.0 * found.clock_std_s(times_s)).all()
@@ -209,7 +209,7 @@ def test_a_skew_is_found_within_its_deviation(skew_ppm, known):
     clock = Clock(T_D_S, skew_ppm, MIDDLE_S)
     found = refine(START, views_of(clock, known=known))
     clock_errors_of(found, clock, np.array([0.0, MIDDLE_S, LONG.duration_s]))
-    assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=1e-2)  # the common time's, at 50 ppm
+    assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=1e-2)  # a skew of 50 ppm moves the middle
     assert 0.5 < found.skew_std_ppm < 40.0
     assert found.skew_ppm == pytest.approx(skew_ppm, abs=4.0 * found.skew_std_ppm)
     assert found.clock_std_s(np.array([found.t_ref_s]))[0] == pytest.approx(found.t_d_std_s)
@@ -221,8 +221,8 @@ def test_a_skew_is_found_within_its_deviation(skew_ppm, known):
         (20.0, {}, False),
         (300.0, {}, True),
         (300.0, {"skew_prior_ppm": 1000.0}, False),
-        (300.0, {"skew_prior_ppm": 0.0}, False),  # nothing is known better
-        (300.0, {"clock": "pieces"}, False),  # which bend to it
+        (300.0, {"skew_prior_ppm": 0.0}, False),  # no skew is estimated
+        (300.0, {"clock": "pieces"}, False),  # pieces follow any skew
     ],
 )
 @pytest.mark.parametrize("known", [False, True])
@@ -240,19 +240,19 @@ def test_what_speaks_against_a_prior_of_the_skew_is_not_held_by_it():
     )
     assert free.skew_ppm == pytest.approx(40.0, abs=4.0 * free.skew_std_ppm)
     assert held.skew_std_ppm < 1.1
-    assert abs(held.skew_ppm) < 10.0  # held back, though not to 1 ppm: the data tell it well
-    # The deviation of either fit is known to a fifth.
+    assert abs(held.skew_ppm) < 10.0  # held back, but not to 1 ppm: the data are strong
+    # The tolerance is a fifth, to which the deviation of either fit is known.
     of_both_ppm = np.hypot(1.0, free.skew_std_ppm)
     assert held.against_skew == pytest.approx(free.skew_ppm / of_both_ppm, rel=0.2)
 
 
 def test_without_a_prior_both_clocks_run_alike():
     views = views_of(skew_prior_ppm=0.0)
-    assert len(clock_model(views, START).deviations) == 0  # and so no column
+    assert len(clock_model(views, START).deviations) == 0  # so the problem has no column
     found = refine(START, views)
     assert (found.skew_ppm, found.skew_std_ppm, found.clock_covariance) == (0.0, 0.0, None)
     assert found.clock.is_delay
-    # The middle's offset hardly depends on the skew, nor does its deviation.
+    # The offset at the middle, and its deviation, hardly depend on the skew.
     skewed = refine(START, views_of())
     assert abs(found.t_d_s - skewed.t_d_s) < found.t_d_std_s
     assert skewed.t_d_std_s == pytest.approx(found.t_d_std_s, rel=0.1)
@@ -263,7 +263,7 @@ def test_a_jump_is_refused_with_its_time_and_size(size_s):
     found = refine(START, views_of(jump=(15.0, size_s)))
     assert (found.status, found.has_offset, found.R) == ("clock_jump", False, None)
     jump = found.jump
-    assert jump.at_s == pytest.approx(15.0, abs=0.5)  # samples 0.1 s apart, with noise
+    assert jump.at_s == pytest.approx(15.0, abs=0.5)  # samples are 0.1 s apart, and noisy
     assert jump.size_s == pytest.approx(size_s, abs=4.0 * jump.size_std_s)
     assert jump.before_s == pytest.approx(T_D_S, abs=1e-3)
     assert jump.after_s == pytest.approx(T_D_S + size_s, abs=1e-3)
@@ -280,7 +280,7 @@ def test_a_clock_that_runs_fast_is_not_said_to_jump_and_found_where_it_may_be(sk
     found = refine(START, views_of(clock))
     assert (found.status, found.has_offset) == ("poor_fit", False)
     said_ppm = float(found.reason.partition("a skew of ")[2].partition(" ppm")[0])
-    assert said_ppm == pytest.approx(skew_ppm, rel=0.05)  # to first order in its move
+    assert said_ppm == pytest.approx(skew_ppm, rel=0.05)  # the estimate is of first order
 
 
 def test_a_clock_of_pieces_follows_one_that_wanders():
@@ -319,25 +319,25 @@ def test_far_skews_are_searched_for_and_near_ones_are_not(known, name, monkeypat
         return replace(START, d_avg_px=d_avg_px) if d_avg_px < 2000.0 else refused
 
     monkeypatch.setattr(clocks, name, search)
-    for prior_ppm in (0.0, 50.0):  # 3 ms at the ends of 40 s, three deviations off
+    for prior_ppm in (0.0, 50.0):  # three deviations of 50 ppm are 3 ms at the ends of 40 s
         views = views_of(known=known, skew_prior_ppm=prior_ppm)
         assert clocks.with_coarse_skew(refused, views) is refused
     assert not tried_ppm
     views = views_of(known=known, skew_prior_ppm=1000.0)
     found = clocks.with_coarse_skew(refused, views)
     assert max(tried_ppm) >= 3000.0
-    assert 0.0 not in tried_ppm  # that was the start
+    assert 0.0 not in tried_ppm  # a skew of 0 is the start's
     steps_ppm = np.diff(sorted([*tried_ppm, 0.0]))
-    # 20 ms at the ends, half a step off; the common time is not known to be the whole 40 s.
+    # Half a step is 20 ms at the ends; 5 % are for a common time that is estimated, not exact.
     assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= 0.020 * 1.05
     assert found.skew_ppm == min(tried_ppm, key=lambda ppm: abs(ppm - 2900.0))
     assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=0.1)
-    fits = replace(START, d_avg_px=1.0)  # better than any other
+    fits = replace(START, d_avg_px=1.0)  # better than with any other skew
     assert clocks.with_coarse_skew(fits, views) is fits
 
 
 def test_a_skew_that_is_searched_for_keeps_its_clock(monkeypatch):
-    """An offset holds at t_ref, which moves with the common time of what is found."""
+    """An offset holds at t_ref, which moves with the common time at the offset found."""
     shown = []
 
     def search(views):
@@ -348,15 +348,15 @@ def test_a_skew_that_is_searched_for_keeps_its_clock(monkeypatch):
     views = views_of(skew_prior_ppm=1000.0)
     found = clocks.with_coarse_skew(Estimate("ssac", "no_match"), views)
     (clock,) = [one for one in shown if one.skew_ppm == found.skew_ppm]
-    assert abs(found.t_ref_s - clock.t_ref_s) > 3.0  # half of the 8 s by which less is common
+    assert abs(found.t_ref_s - clock.t_ref_s) > 3.0  # half of the 8 s that are not common
     expected_s = clock.cam2_from_cam1(TIMES_S)
-    # Rounding.
+    # The tolerance is rounding.
     np.testing.assert_allclose(found.clock.cam2_from_cam1(TIMES_S), expected_s, atol=1e-12)
 
 
 @pytest.mark.parametrize(("skew_ppm", "status"), [(50.0, "ok"), (200.0, "clock_jump")])
 def test_a_skew_far_from_its_prior_speaks_for_a_jump(skew_ppm, status):
-    """A step of few deviations is one only where the skew, 50 ppm beforehand, is bent by it."""
+    """A step of few deviations is a jump only if it bends the skew far from its 50 ppm prior."""
     views = views_of(jump=(18.0, 0.003))
     parameters = Parameters(START.t_d_s, START.R, START.t, np.zeros(1))
     model = clock_model(views, START)

@@ -1,7 +1,7 @@
-"""Laws of every method of tracks, and what is observable of flights that leave something open.
+"""Laws of every method of tracks, and what degenerate or periodic flights leave observable.
 
-The cameras of the laws are unlike in focal lengths, centre, lens and size, so that none stands for
-the other.
+The cameras of the laws differ in focal lengths, centre, lens and size, so that an exchange of the
+two shows.
 """
 
 from dataclasses import replace
@@ -23,12 +23,12 @@ CONFIG = Config(denoise=False, interval_s=(-0.4, 0.4))  # the synthetic events h
 OF_TRACKS = [method for method in OURS if method.input is Input.TRACKS]
 NAMES = [method.name for method in OF_TRACKS]
 KNOWN = [method.name for method in OF_TRACKS if method.needs_extrinsics]
-FREE = [name for name in NAMES if name not in (*KNOWN, "albl")]  # of the pose
-ALL = FREE + KNOWN  # of those that refuse what is open
+FREE = [name for name in NAMES if name not in (*KNOWN, "albl")]  # that estimate the pose
+ALL = FREE + KNOWN  # that refuse an offset or pose that the data leave open
 REFINING = [method.name for method in OF_TRACKS if method.starts_from]
 # Errors of t_d [s], R and t [deg]. The bound of 400 windows with 0.3 px of noise is 0.16 ms, 0.3
-# and 0.15 deg; four times that for the searches, twice for what is refined. Of a known pose the
-# offset alone.
+# and 0.15 deg; the tolerances are at least four times that for the searches, and twice for refined
+# estimates. With a known pose only the offset is estimated.
 WITHIN = {
     "ssac": (0.8e-3, 1.2, 1.2),
     "ssac-known": (0.8e-3, 1e-9, 1e-5),
@@ -86,14 +86,14 @@ def test_offset_and_pose_are_recovered(name, chain):
 @pytest.mark.parametrize("name", NAMES)
 def test_swapping_the_cameras_negates_the_offset_and_inverts_the_pose(name, chain, swapped):
     there, back = chain.estimate(name), swapped.estimate(name)
-    # Both sample other windows of the same events: two answers, each with errors of its own.
+    # The two sample different windows of the same events, so each answer has its own errors.
     within = tuple(1.5 * bound for bound in WITHIN[name])
     assert_near(back, -there.t_d_s, there.R.T, -there.R.T @ there.t, within)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_world_twice_as_large_looks_the_same(name, chain, twice_as_large):
-    # Powers of two are exact, and nothing in an image tells a length.
+    # Scaling by a power of two is exact, and images do not depend on the scale.
     assert_same(twice_as_large.estimate(name), chain.estimate(name))
 
 
@@ -121,20 +121,20 @@ def test_too_few_events_are_refused_under_the_methods_name(name, chain):
 # --- What is left open ---
 
 MOVING = "ambiguous_offset", "too_little_motion", "no_match"
-SPARSE = {"n_samples": 150}  # where many offsets are refined
+SPARSE = {"n_samples": 150}  # fewer samples, as many offsets are refined
 REFUSED = [  # path, methods, statuses, words of the reason, fields of the config
     (flights.at_rest, ALL, ("no_motion",), "at rest", {}),
-    (flights.at_rest, ALL, ("no_motion",), "at rest", {"search": "all"}),  # Bug: it was no match
+    (flights.at_rest, ALL, ("no_motion",), "at rest", {"search": "all"}),  # Bug: it was "no_match"
     (flights.straight_uniform, FREE, MOVING, "", {"interval_s": (-0.15, 0.25)} | SPARSE),
     (flights.circle, FREE, MOVING, "", SPARSE),
-    # F is open at the best offset, and others have poses that fit as well.
+    # F is not determined at the best offset, and poses at other offsets fit as well.
     (flights.circle, ("joint",), MOVING[:1], "", {"interval_s": (-0.1, 0.2), "n_samples": 200}),
     (flights.helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)} | SPARSE),
-    # Bug: where a search of all offsets allows so long a valley, means were 14 deviations off.
+    # Bug: in so long a valley, which a search of all offsets allows, means were 14 deviations off.
     (flights.helix, ("joint",), MOVING[:1], "", {"interval_s": (-0.2, 0.3), "max_valley_s": 1.0}),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
     (flights.free, FREE, ("too_few_samples",), "", {"n_samples": 25}),
-    # Bug: an interval of offsets near the recordings' length left few pairs, which F fits.
+    # Bug: offsets near the recordings' length leave few pairs, to which an F always fits.
     (flights.free, FREE, (), "", {"interval_s": (DURATION_S - 1, DURATION_S - 0.1)}),
 ]
 
@@ -164,7 +164,7 @@ def test_a_straight_line_tells_the_offset_but_no_pose(method):
     assert estimate.R is estimate.t is None
     assert estimate.has_offset
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=5 * estimate.t_d_std_s)
-    # 0.1 px of noise in each mean of 1000 events, at 100 px/s and 400 samples: 0.1 ms
+    # Noise of 0.1 px in each mean of 1000 events, at 100 px/s and 400 samples, gives 0.1 ms.
     assert estimate.t_d_std_s < 1e-3
     assert estimate.unobservable.shape[1] == 6
 
@@ -174,7 +174,7 @@ def test_a_straight_line_seen_for_a_moment_tells_no_offset(seen_s):
     whole = flights.flown(flights.straight_brisk)
     brief = [Observation(one.events[one.events["t"] < 1e6 * seen_s]) for one in whole.sources]
     estimate = Chain(brief, whole.rig, flights.CLEAN).estimate("ssac")
-    if seen_s < 2.5:  # no more half seconds than unknowns: the fit left nothing, and no deviation
+    if seen_s < 2.5:  # as few half seconds as unknowns leave no residual for a deviation
         assert estimate.status == "too_little_motion"
         assert "for so short a time" in estimate.reason
     else:
@@ -194,11 +194,11 @@ def test_a_known_pose_leaves_the_offset_alone_to_be_told(method, path):
 def test_a_plane_leaves_f_open_and_a_calibrated_pose_perhaps_but_never_the_offset(method):
     estimate = found(flights.planar, method)
     assert estimate.has_offset
-    # The search tries F's family along with the offset.
+    # The search states no deviation, and fits each offset with any F of the plane's family.
     within_s = 5e-3 if method == "ssac" else 5 * estimate.t_d_std_s
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=within_s)
     if estimate.status == "ok" and method != "ssac":
-        # A plane has a second pose, tens of degrees away; noise moves the true one by less.
+        # A plane allows a second pose, tens of degrees away; noise moves the true pose by less.
         assert rotation_angle_deg(estimate.R, scene_of(flights.planar).R) < 5.0
     else:
         assert estimate.status in ("ambiguous_pose", "degenerate_pose")
@@ -211,4 +211,4 @@ def test_periodic_motion_names_the_other_offsets(method):
     assert estimate.status == "ambiguous_offset"
     offsets_s = np.append(estimate.alternatives_s, estimate.t_d_s)
     assert len(offsets_s) >= 2
-    assert np.min(np.abs(offsets_s - T_D_S)) < 0.020  # the coarse step, for ssac's alternatives
+    assert np.min(np.abs(offsets_s - T_D_S)) < 0.020  # the coarse step of ssac's alternatives

@@ -1,4 +1,4 @@
-"""Tangents of a spinning box, what deviations stand for, and one point of a body of balls."""
+"""Tangents to a spinning box, the deviations that are stated, and one point of a rigid body."""
 
 from dataclasses import replace
 from functools import cache
@@ -52,7 +52,7 @@ def tangents_alone() -> Estimate:
 
 
 def without_frames(events, phase_us):
-    """Lose the events of readouts of 10 ms, 25 a second."""
+    """Remove the events during frame readouts of 10 ms, 25 times a second."""
     return events[(events["t"] - phase_us) % 40_000 >= 10_000]
 
 
@@ -64,13 +64,13 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     assert all(len(spans_us) > 150 for spans_us in views.alone.blind_us)  # of 200
     estimate = refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
-    # As of a lopsided box; with tangents found as ever, 2.0 ms.
+    # The tolerances are those of a lopsided box; tangents that ignore the readouts err by 2.0 ms.
     assert np.all(np.array(box.errors(estimate, scene)) < [0.3, 0.6, 0.3])
     assert for_blind(VIEWS) is VIEWS  # where no camera was blind
 
 
 def with_thread(events, seed):
-    """Events, those of a thread upwards from the box among them, and which these are."""
+    """Add events of a thread above the box; return all events and the mask of the thread's."""
     rng = np.random.default_rng((seed, 5))
     thread = events[np.sort(rng.choice(len(events), len(events) // 10, replace=False))]
     above = rng.integers(1, 40, len(thread))
@@ -89,7 +89,7 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
         estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
         assert estimate.status == "ok"
         errors_of.append(np.array(box.errors(estimate, SCENE)))
-    # The same events, so the same tangents, but for rounding of sums.
+    # The same events give the same tangents, but for rounding of sums.
     alone = box.errors(tangents_alone(), SCENE)
     assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
     assert errors_of[0] != pytest.approx(errors_of[1], rel=0.1)
@@ -99,10 +99,10 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
     scene = synthetic.make_scene(1, duration_s=8.0)
     cameras = box.box_events(scene, 1, size_m, lopsided=3.0)
-    # Whether means so biased are a start at all is for `joint` to say.
+    # Only `joint` decides whether such biased means can be a start, so the start is given.
     found = refine_tangents(box.off_the_truth(scene), two_views(*cameras, scene.rig, CLEAN))
     assert found.status == "ok"
-    # A few pixels from 8 s of events, and eight corners alone: three times the tables' marks.
+    # 8 s of events and only eight corners leave few tangents: three times the tables' goals.
     assert np.all(np.array(box.errors(found, scene)) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
         mean_ms = 1e3 * abs(joint_known(*cameras, scene.rig, CLEAN).t_d_s - T_D_S)
@@ -115,16 +115,16 @@ def test_neither_the_start_nor_sparse_samples_matter():
     assert synthetic.rotation_angle_deg(one.R, other.R) < 0.03
     assert synthetic.angle_deg(one.t, other.t) < 0.03
     behind = refine_tangents(replace(START, t=-START.t), VIEWS)
-    assert behind.t @ other.t > 0.99999  # both converge, to a tenth of a degree at least
-    # Sparser than the smoothing.
+    assert behind.t @ other.t > 0.99999  # both converge, to 0.3 degrees or better
+    # The samples are further apart than the half width of the smoothing.
     sparse = refine_tangents(START, VIEWS.by(tangency=TangencyConfig(step_s=0.08)))
     assert sparse.status == "ok"
-    # A quarter of the samples, and eight corners alone: four times the tables' goal.
+    # A quarter of the samples, and only eight corners: four times the tables' goal.
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
 
 
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
-    """Bug: what the last round had reached was "ok"."""
+    """Bug: where the rounds ran out, the last one's result was "ok"."""
     once = VIEWS.by(tangency=TangencyConfig(max_rounds=1))
     known = replace(VIEWS, pose_is_known=True)
     for start, views, status, words in (
@@ -150,10 +150,10 @@ def test_few_tangents_against_a_start_are_no_surer_than_their_difference():
     by_means = joint_from(algorithm_2(VIEWS), VIEWS)
     sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
     deviations_s = []
-    for few_seen in (0.0, 0.1, 2.0):  # none are few, those seen are not, and any are
+    for few_seen in (0.0, 0.1, 2.0):  # least shares: the tangents seen are few only by the last
         rules = TangencyConfig(joins_body=False, few_seen=few_seen)
         found = tangency_from(sure, VIEWS.by(tangency=rules))
-        assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # as of tangents alone
+        assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
         deviations_s.append(found.t_d_std_s)
     assert deviations_s[0] == deviations_s[1] < 1e-3
     assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], sure.t_d_s - found.t_d_s))
@@ -161,7 +161,7 @@ def test_few_tangents_against_a_start_are_no_surer_than_their_difference():
 
 @pytest.mark.parametrize("scale", [1, 8])
 def test_tangents_touch_the_outermost_corners(scale):
-    """With the true pose and offset."""
+    """Tangents are found with the true pose and offset."""
     scene, config = synthetic.make_scene(1, duration_s=6.0), OutlineConfig()
     K = np.diag([scale, scale, 1.0]) @ synthetic.K
     camera = Camera(K, scale * synthetic.WIDTH, scale * synthetic.HEIGHT)
@@ -180,14 +180,14 @@ def test_tangents_touch_the_outermost_corners(scale):
             assert valid.sum() > 100
             across = np.linalg.norm(pencil.gradients(found.points_px[valid]), axis=1)
             misses_px = (pencil.angles(found.points_px[valid]) - true[valid]) / across / scale
-            # An event is up to 0.7 px from its corner, and those furthest out are taken. Of a finer
-            # sensor's pixels little is left, but the corner's course bends within a window.
+            # An event is up to 0.7 px from its corner, and the outermost events count. On a finer
+            # sensor this rounding is small, but the corner's path bends within a window.
             assert np.median(np.abs(misses_px)) < (0.7 if scale == 1 else 0.2)
             rates = np.gradient(true, times_s)[valid]
             speeds = np.sum(
                 found.velocities_px_s[valid] * pencil.gradients(found.points_px[valid]), axis=1
             )
-            # The tangent goes over from corner to corner, where its rate jumps.
+            # The tolerance is wide because the rate jumps where the tangent changes corners.
             assert np.median(np.abs(speeds - rates)) < 0.1 * np.median(np.abs(rates))
 
 
@@ -196,23 +196,23 @@ def test_tangents_touch_the_outermost_corners(scale):
 SIZE_M = 0.2  # of the cloud of points
 UNIFORM_S = 3.0
 NEAR = replace(CLEAN, interval_s=(T_D_S - 0.2, T_D_S + 0.2))
-# Root mean square size of the cloud, 5 m away, in both images together.
+# The rms size [px] of the cloud, 5 m away, in both images together.
 IMAGES_PX = np.sqrt(2.0) * synthetic.FOCAL_PX / synthetic.DISTANCE_M * np.sqrt(2.0 / 12.0) * SIZE_M
 
 
 @pytest.mark.parametrize(
     ("method", "low_px", "high_px"),
     [
-        # A tenth of the size in each image. Where flights at one speed along a line were simulated,
-        # the mean of the events lay off by 0.06 for long, and ten times more would refuse them all.
+        # A bias of a tenth of the size in each image. In simulated flights on a line at one speed
+        # the mean of the events had a lasting bias of 0.06; ten times that would refuse them all.
         ("joint-known", 0.06 * IMAGES_PX, 0.2 * IMAGES_PX),
-        # 0.2 px on each of the two sides, which share the error of their mean.
+        # A bias of 0.2 px in each of the two tangents, which share the error of their mean.
         ("tangency-known", 0.1, 0.5),
     ],
     ids=["mean", "outline"],
 )
 def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
-    """The object rises along a line at one speed, so slowly that a bias stays for all the time."""
+    """The object moves along a line at one speed, so slowly that a bias lasts all the time."""
 
     def path(times_s):
         return MIDDLE + (times_s - UNIFORM_S / 2)[..., None] * np.array([0.2, 0.9, 0.3])
@@ -221,7 +221,7 @@ def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
     streams = synthetic.make_events(scene, 0, T_D_S, rate_hz=50_000.0, size_m=SIZE_M)
     estimate = Chain([*map(Observation, streams)], scene.rig, NEAR).estimate(method)
     assert estimate.status == Status.OK
-    # How fast [px/s] a change of t_d makes a shift of all points good again, by least squares.
+    # The speed [px/s] that converts a common shift of all points into t_d, by least squares.
     times_s = np.linspace(0.1, UNIFORM_S - 0.1, 200)
     F = fundamental_from_pose(synthetic.K, synthetic.K, scene.R, scene.t)
     p1, p2 = synthetic.track_pair(scene, times_s)[0], synthetic.track_pair(scene, times_s + 1e-3)[1]
@@ -242,15 +242,15 @@ def test_deviations_are_neither_too_small_nor_too_large():
             if estimate.covariance is not None:
                 poses.append(synthetic.rotation_angle_deg(estimate.R, scene.R) / estimate.r_std_deg)
                 poses.append(synthetic.angle_deg(estimate.t, scene.t) / estimate.t_std_deg)
-    # The root mean square of 12 is known to 20 %. It is 0.9 of both: deviations of half the size,
-    # or of twice, are out of these bounds.
+    # The rms of 12 values is known to 20 %, and is 0.9 for both. Deviations half or twice as large
+    # would be outside these bounds.
     for normalised in (offsets, poses):
         assert len(normalised) == 12
         assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.6
 
 
 def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
-    """Deviations grow by it as errors that are independent of the others, and nothing else does."""
+    """The width adds to the covariance as an independent error, and changes nothing else."""
     scene = synthetic.make_scene(0, duration_s=DURATION_S)
     chain, found = Chain(seen(scene), scene.rig, NEAR), []
     for width in (0.0, 1.0, 2.0):
@@ -260,7 +260,7 @@ def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
     assert (once.t_d_s, *once.R.flat, *once.t) == (none.t_d_s, *none.R.flat, *none.t)
     assert once.r_std_deg > 1.01 * none.r_std_deg
     added = once.covariance - none.covariance
-    # Rounding, of the whole covariance.
+    # The tolerance is the rounding of the covariance's largest entry.
     atol = 1e-12 * np.abs(none.covariance).max()
     np.testing.assert_allclose(twice.covariance - none.covariance, 4.0 * added, 1e-6, atol)
 
@@ -270,7 +270,7 @@ def test_blurred_tangents_count_less():
     points, valid = np.zeros((n, 2)), np.ones(n, np.bool_)
     both = [Tangents(points, points, np.full(n, spread_px), valid) for spread_px in (0.0, 0.5)]
     weights = tangent_pairs(0.02 * np.arange(n), both, both, 0.0, TangencyConfig()).weights
-    # Errors of both views: 0.05 px of any tangent, and the blur of each; to rounding.
+    # The errors are 0.05 px of any tangent, and the blur in both views. Tolerance: rounding.
     expected = np.sqrt(0.05**2 + 2 * 0.5**2) / 0.05
     np.testing.assert_allclose(weights[:n] / weights[n:], expected, rtol=1e-12)
 
@@ -288,7 +288,7 @@ OFF = Estimate("tangency", t_d_s=T_D_S + 0.0005, R=R_OFF, t=T_OFF)
 
 @cache
 def shaped() -> list[ShapedTrack]:
-    """What silhouettes would tell in both views; the second is sampled at other times."""
+    """Return the shaped track of each view, from drawn silhouettes; times differ by 10 ms."""
     found = []
     for k, (R, t) in enumerate(((np.eye(3), np.zeros(3)), (FLIGHT.R, FLIGHT.t))):
         times_s = TIMES_S + 0.01 * k
@@ -319,7 +319,7 @@ def body():
 
 
 def distances_px(motions) -> np.ndarray:
-    """Of pairs from their true epipolar lines."""
+    """Return the Sampson distances (n,) [px] of the motions' pairs under the true F."""
     times_s = np.arange(0.8, 4.2, 0.02)
     one, two = motions[0].sharp_at(times_s), motions[1].sharp_at(times_s + T_D_S)
     known = one.valid & two.valid
@@ -331,7 +331,7 @@ def distances_px(motions) -> np.ndarray:
 def test_its_pairs_are_those_of_one_point():
     by_body = distances_px(body())
     by_area = distances_px([rigid_body._shape_of(s, body_views(), 1).centres for s in shaped()])
-    # Voxels are 0.9 px wide; what is left of the shape is some 0.03 px, of the area 0.1.
+    # Voxels are 0.9 px wide. The body's point is off by some 0.03 px, the centre of area by 0.1.
     assert np.sqrt(np.mean(by_body**2)) < 0.5 * np.sqrt(np.mean(by_area**2))
     assert np.sqrt(np.mean(by_body**2)) < 0.08
 
@@ -343,7 +343,7 @@ def test_exchanged_cameras_show_the_same_point():
         both = np.intersect1d(before.times_s, after.times_s)
         places = [of.points_px[np.isin(of.times_s, both)] for of in (before, after)]
         assert len(both) > 100
-        # Instants are even times of the other clock: voxels and attitudes are found anew.
+        # Instants are even times of the other clock, so voxels and attitudes are found anew.
         assert np.sqrt(np.mean((places[0] - places[1]) ** 2)) < 0.1
 
 
@@ -354,8 +354,8 @@ def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch):
     monkeypatch.setattr("tests.ssac.methods.test_tangency.shaped", lambda: later)
     after = followed(replace(OFF, t_d_s=OFF.t_d_s + 1e-6 * shift_us))
     for one, other in zip(before, after, strict=True):
-        # Not to the last bit, as places are the points of tracks that are told on another clock:
-        # by the rounding errors of times, and no comparison that falls out otherwise.
+        # The tolerance is the rounding of times, as the tracks are interpolated on another clock.
+        # No comparison may turn out differently, which would change points by far more.
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
 
 
@@ -368,7 +368,7 @@ def test_centres_of_area_are_searched_about_an_offset_or_where_the_views_are(mon
 
 
 def test_it_says_why_there_is_no_body(monkeypatch):
-    assert rigid_body.body_points(OFF, body_views()) == ""  # of tracks nothing could be tried
+    assert rigid_body.body_points(OFF, body_views()) == ""  # tracks have no silhouettes
     bent = replace(CAMERA, distortion_model="radtan", distortion_coeffs=(0.1, 0.0, 0.0, 0.0))
     assert "distorts" in rigid_body._shape_of(shaped()[1], body_views(cam2=bent), 2)
     unclosed = ShapedTrack(shaped()[0].track, None)
@@ -383,7 +383,7 @@ def test_it_says_why_there_is_no_body(monkeypatch):
 
 
 def with_point(monkeypatch, late_s: float, joins: bool = True) -> Estimate:
-    """Join the tangents of the box with its true origin, seen too late in view 2."""
+    """Join the box's tangents with its true origin, which view 2 shows `late_s` [s] too late."""
     times_s = np.arange(0.0, 6.0, 0.02)
     tracks = synthetic.track_pair(SCENE, times_s)
     shown_s = times_s, times_s + T_D_S + late_s
@@ -410,7 +410,7 @@ def test_a_body_that_contradicts_the_tangents_leaves_them_as_they_are(monkeypatc
     assert (found.t_d_s, found.d_avg_px) == (alone.t_d_s, alone.d_avg_px)
     assert found.R is alone.R
     assert found.t is alone.t
-    # Of a matrix less a smaller one no variance is negative; of rounding there is some.
+    # The covariance grows by a positive semidefinite matrix, up to rounding.
     added = found.covariance - alone.covariance
     assert np.linalg.eigvalsh(added)[0] > -1e-9 * np.trace(added)
     assert found.t_d_std_s > 3.0 * alone.t_d_std_s

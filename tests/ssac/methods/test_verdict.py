@@ -1,4 +1,4 @@
-"""What is relied upon: thresholds, which of several solutions is taken, who may overrule whom."""
+"""Verdicts on estimates: thresholds, the choice of a solution, and which method may overrule."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -29,7 +29,7 @@ def normal(spread_px):
     return np.random.default_rng(0).normal(0.0, spread_px, 2000)
 
 
-# Where another object pulls the positions away, and as a thin tip leaves them that one view misses.
+# Distances where another object pulls positions away, and where one view misses a thin tip.
 ONE_IN_TEN_FAR_OUT = normal(0.3) + np.where(np.arange(2000) % 10 == 0, 15.0, 0.0)
 LONG_TAILED = 0.02 * np.clip(np.random.default_rng(1).standard_cauchy(2000), -40.0, 40.0)
 
@@ -52,7 +52,7 @@ def test_a_bound_is_of_the_interval_or_of_what_recordings_have_in_common(tried_s
     [
         (normal(0.0), OBJECT_PX, 0.0, ""),
         (normal(0.01), OBJECT_PX, 0.0, ""),
-        (normal(1.1), OBJECT_PX, 0.0, ""),  # 0.12 of the size are 1.2 px
+        (normal(1.1), OBJECT_PX, 0.0, ""),  # the limit, 0.12 of the size, is 1.2 px
         (LONG_TAILED, OBJECT_PX, 0.0, ""),
         (normal(1.4), OBJECT_PX, 0.0, "far for an object of 10.0 px rms"),
         (normal(1.1), 0.5 * OBJECT_PX, 0.0, "far for an object of 5.0 px rms"),
@@ -68,7 +68,7 @@ def test_what_is_not_ordinary_is_said(distances_px, object_px, against, words):
 
 
 def with_deviations(t_d_std_s=1e-3, **turns_deg):
-    """An estimate whose pose is certain to 0.1 deg, but for some of its five angles."""
+    """Return an estimate whose five angles have deviations of 0.1 deg, or those given."""
     degrees = [turns_deg.get(f"angle_{k}", 0.1) for k in range(5)]
     covariance = np.diag([t_d_std_s**2, *np.deg2rad(degrees) ** 2])
     pose = {"R": np.eye(3), "t": np.eye(3)[0], "covariance": covariance}
@@ -102,7 +102,7 @@ def test_what_is_not_certain_is_refused(estimate, status, words):
 
 
 def nearly_periodic(stray_m, from_s=0.0):
-    """Go round every 0.8 s, and from a time on stray from that by so much, never alike."""
+    """Repeat every 0.8 s, but from a time on stray from that by so much, never alike."""
     wandering = make_scene(7, duration_s=flights.DURATION_S).path
 
     def path(times_s):
@@ -115,11 +115,11 @@ def nearly_periodic(stray_m, from_s=0.0):
 @pytest.mark.parametrize(
     ("path", "method", "status"),
     [
-        # The mean of 1000 events is off by 0.2 px. A stray of 0.01 m, 0.4 px, less what the pose
-        # takes, makes an offset a turn away fit 1.1 to 2 times worse; twice that, 2 to 3.5 times.
+        # The mean of 1000 events is off by 0.2 px. A stray of 0.01 m is 0.4 px, part of which the
+        # pose absorbs: offsets a period away fit 1.1 to 2 times worse; with 0.02 m, 2 to 3.5 times.
         (nearly_periodic(0.01), "joint", Status.AMBIGUOUS_OFFSET),
         (nearly_periodic(0.02), "joint", Status.OK),
-        # For two fifths of the flight an offset a turn away fits as well as the true one.
+        # For two fifths of the flight an offset a period away fits as well as the true one.
         (nearly_periodic(0.03, from_s=0.4 * flights.DURATION_S), "joint-known", Status.OK),
     ],
 )
@@ -131,14 +131,14 @@ def test_an_offset_must_fit_twice_as_well_as_any_other(path, method, status):
 
 @pytest.mark.parametrize(("std_s", "status"), [(0.001, Status.DEGENERATE_POSE), (0.005, Status.OK)])
 def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
-    off = {"t_d_s": T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5, or 1
+    off = {"t_d_s": T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5 of them or 1
     chain = flights.flown(flights.free).under(CLEAN)
     start = replace(chain.estimate("joint"), status=Status.DEGENERATE_POSE, reason="open", **off)
     assert tangency_from(start, chain.views()).status == status
 
 
 def test_time_out_of_view_is_no_motion():
-    # 0.7 s, 8.3 s of nothing, and 0.7 s: six swings between them that nobody saw.
+    # The object is seen for 0.7 s, hidden for 8.3 s of six swings, and seen for 0.7 s again.
     scene = make_scene(5, duration_s=12.0)
     streams = make_events(scene, 5, T_D_S, size_m=0.4)
     cameras = []
@@ -155,7 +155,7 @@ def test_time_out_of_view_is_no_motion():
     ("std_deg", "status"), [(0.5, Status.AMBIGUOUS_POSE), (5.5, Status.DEGENERATE_POSE)]
 )
 def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_deg, status):
-    """Bug: the search put the one first and the refinement the other."""
+    """Bug: the search and the refinement ranked the two refusals differently."""
     solutions = []
     for turn_deg, distance_px in ((0.0, 0.10), (20.0, 0.11)):
         R = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
@@ -171,7 +171,7 @@ def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_deg, status):
 def test_rounded_times_widen_the_offsets_deviation_by_that_of_an_even_distribution(quanta_s):
     covariance = np.diag([1e-6, 1e-8, 1e-8, 1e-8, 1e-8, 1e-8])
     found = less_sure(Estimate("joint", t_d_std_s=1e-3, covariance=covariance), quanta_s)
-    # Two times, each anywhere in a step: the deviation of such an error is the step over sqrt(12).
+    # Each of the two times has an error uniform over its step, whose deviation is step / sqrt(12).
     variance = 1e-6 + sum(step_s**2 for step_s in quanta_s) / 12.0
     assert found.t_d_std_s == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert found.covariance[0, 0] == pytest.approx(variance, rel=1e-12)
@@ -218,7 +218,7 @@ def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, 
     assert estimate.method == "tangency"
     if status in SETTLED_BY["tangency"]:
         assert estimate.status == Status.OK
-        # Where the search has an offset, it is of positions; else tangents are to find one.
+        # From a search that is ok, positions compare the solutions; otherwise tangents do.
         assert looked == [searched != Status.OK]
     else:
         assert (estimate.status, estimate.reason) == (status, "a reason")
@@ -226,7 +226,7 @@ def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, 
 
 
 def answered(config, status, helps, monkeypatch):
-    """The answer of joint, which refuses an affine clock, and the clocks that were tried."""
+    """Return the answer where `joint` refuses an affine clock, and the clocks that are tried."""
     tried = []
 
     def joint_from(start, views):
@@ -247,7 +247,7 @@ def answered(config, status, helps, monkeypatch):
 def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
     answer, tried = answered(Config(), status, helps, monkeypatch)
     is_settled = status in SETTLED_BY["pieces"]
-    # The smoothest first, then rougher ones.
+    # The smoothest clock of pieces is tried first, then rougher ones.
     n_tried = (1 if helps else 1 + len(RetryRules.roughnesses_ppm)) if is_settled else 0
     assert tried == ["affine", *n_tried * ["pieces"]]
     wanders = answer.clock == "pieces"

@@ -1,4 +1,4 @@
-"""One flight, of our own making, before many frame cameras; and what their pairs would tell."""
+"""A synthetic flight before many frame cameras, and the links that their pairs would give."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -29,20 +29,20 @@ CAMERA = Camera(
 
 @dataclass(frozen=True)
 class Flight:
-    """Cameras round a flight, and what is true of them."""
+    """Sightings of a flight by the cameras round it, and the ground truth."""
 
     seen: list[Sightings]
-    clocks: list[Clock]  # from the first's time to that of each
+    clocks: list[Clock]  # from the first camera's time to each camera's
     poses: list[tuple[np.ndarray, np.ndarray]]  # x_k = R X + t, X in the first camera's frame
     path: BSpline  # in the first camera's frame and on its clock [m]
 
     def image_px(self, k: int, times_s: np.ndarray) -> np.ndarray:
-        """Where camera k has the object at the first clock's times, but for noise."""
+        """Return the object's images in camera k at the first clock's times, without noise."""
         R, t = self.poses[k]
         return project(self.path(times_s) @ R.T + t, CAMERA.K)
 
     def link(self, a: int, b: int, off_s: float = 0.0, rng=None) -> Link:
-        """What a pair tells, off by so much; its pose by half a degree."""
+        """Return a pair's link, its offset wrong by `off_s`; with `rng`, R by half a degree."""
         (R_a, t_a), (R_b, t_b) = self.poses[a], self.poses[b]
         R = R_b @ R_a.T
         t = t_b - R @ t_a
@@ -53,22 +53,22 @@ class Flight:
         return Link(clock, True, 0.003, R, t / np.linalg.norm(t))
 
     def links(self, seed: int = 0) -> dict[Pair, Link]:
-        """What all pairs tell, offsets good to some 5 ms."""
+        """Return the links of all pairs, with offsets good to some 5 ms."""
         rng = np.random.default_rng(seed)
         pairs = combinations(range(len(self.seen)), 2)
         return {(a, b): self.link(a, b, rng.normal(0.0, 0.005), rng) for a, b in pairs}
 
     def shown_s(self, k: int, time_s: float) -> float:
-        """What camera k's clock shows more than the first's."""
+        """Return by how much camera k's clock shows more than the first's."""
         return float(self.clocks[k].cam2_from_cam1(time_s) - time_s)
 
     @property
     def distance_m(self) -> float:
-        """Between the first two cameras."""
+        """Distance between the first two cameras."""
         return float(np.linalg.norm(self.poses[1][1]))
 
     def solved(self, links: dict[Pair, Link] | None = None, rules: Rules = RULES) -> NetworkAnswer:
-        """Solve the network, by what all pairs tell or by other links."""
+        """Solve the network with the links of all pairs, or with other links."""
         links = self.links() if links is None else links
         return solve_network(self.seen, links, 50.0, self.distance_m, rules)
 
@@ -76,12 +76,12 @@ class Flight:
 def seen_by(
     track: PointTrack, name: str, has_frames: bool = False, camera: Camera = CAMERA, **more: Any
 ) -> Sightings:
-    """Give the sightings of one of the cameras."""
+    """Return the sightings of one camera."""
     return sightings(track, camera, name, has_frames, RULES.points, **more)
 
 
 def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -> Flight:
-    """Make a flight; the noise differs by the seed, all else stays."""
+    """Make a flight; the seed changes nothing but the noise."""
     rng = np.random.default_rng(5)
     knots_s = 0.8 * np.arange(-5.0, DURATION_S / 0.8 + 6.0)
     spread = rng.uniform(-1.0, 1.0, (len(knots_s) - 6, 3)) * [7.0, 5.0, 7.0]

@@ -1,4 +1,4 @@
-"""Splines, the arrowhead of the normal equations, and derivatives of what a camera sees."""
+"""Splines, the arrowhead matrix of the normal equations, and derivatives of projections."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from tests.ssac.network.flights import RULES, make_flight
 
 
 def dense(normal: Normal, linear: Linear, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right side of the same equations, with what their own diagonals (n,) add."""
+    """Dense matrix and right side of the same equations, with `own` (n,) added to the diagonal."""
     m, n = len(normal.right_path), len(linear.first)
     J = np.zeros((2 * n, m + len(normal.right_border)))
     for i, at in enumerate(linear.first):
@@ -25,7 +25,7 @@ def dense(normal: Normal, linear: Linear, own: np.ndarray) -> tuple[np.ndarray, 
 
 
 def anything() -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
-    """Sightings without any order, and what is known of five cameras' parameters beside them."""
+    """Sightings without any order, and a prior on each of the five cameras' parameters."""
     rng, n_coefficients, n_border, n = np.random.default_rng(0), 12, 5, 80
     own = rng.integers(0, n_border, n)
     linear = Linear(
@@ -46,7 +46,7 @@ def anything() -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
 def pieces(n: int, least: float) -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
     """A path of n pieces of 30 coefficients, each with a parameter of its own.
 
-    The ends of the path have but few sightings, so that something holds it everywhere.
+    The ends of the path have but few sightings, so that `least` holds the path everywhere.
     """
     rng, per_piece = np.random.default_rng(1), 30
     m = per_piece * n
@@ -65,7 +65,7 @@ def pieces(n: int, least: float) -> tuple[Normal, Linear, np.ndarray, np.ndarray
 
 @pytest.mark.parametrize("made", [anything, lambda: pieces(12, 1e-3)], ids=["anything", "pieces"])
 def test_the_solution_and_its_covariance_are_those_of_the_dense_matrix(made) -> None:
-    """Steps, and covariances of cameras and points: all to rounding."""
+    """Steps, and covariances of cameras and of points, agree to rounding."""
     normal, linear, own, residual = made()
     matrix, right = dense(normal, linear, own)
     m, b = len(normal.right_path), len(normal.right_border)
@@ -88,8 +88,8 @@ def test_a_piece_of_a_clock_reaches_as_far_in_a_long_flight_as_in_a_short_one() 
     for n in (20, 40):
         half = solve(pieces(n, 1e-1)[0], np.arange(n)).half
         reaches.append(np.median(np.count_nonzero(half, axis=1)))
-    assert reaches[0] < 3 * 30 * 10  # half of the shorter
-    # Each fades by chance of its sightings; the medians of 20 and of 40 are 20 % alike.
+    assert reaches[0] < 3 * 30 * 10  # half of the shorter path
+    # How far each reaches depends on random sightings; medians of 20 and of 40 agree to 20 %.
     assert reaches[1] == pytest.approx(reaches[0], rel=0.2)
 
 
@@ -121,7 +121,7 @@ def test_clocks_there_and_back() -> None:
     state = replace(state, strays_s=np.array([0.0, 0.01, -0.01, 0.02, 0.0]))
     times_s = np.linspace(*seen.span_s, 50)
     back_s = state.own_from_network(state.network_from_own(times_s))
-    # Three rounds, each of which takes what is left times the strays' slope, some 0.01.
+    # Three rounds, each of which multiplies the error by the strays' slope, some 0.01.
     assert back_s == pytest.approx(times_s, abs=1e-6)
 
 
@@ -129,10 +129,10 @@ def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
     rng = np.random.default_rng(3)
     times_s = 0.01 * np.arange(60_000)
     white = rng.normal(0.0, 1.0, (len(times_s), 2))
-    # Means of 60,000 numbers in blocks of 100: 600 blocks of two axes are 4 % alike.
+    # 60,000 numbers in blocks of 100: the means of 600 blocks on two axes give a variance to 4 %.
     assert repeats_in_blocks(times_s, white, RULES.network) == pytest.approx(1.0, abs=0.15)
-    # A slow error of variance 0.04 that stays for 0.5 s: each of 50 sightings has it, and blocks of
-    # a second hold two. Correlations of 0.04 are below those that are summed up.
+    # A slow error of variance 0.04 stays for 0.5 s: 50 sightings share each value, and blocks of a
+    # second hold two values. `repeats_of` does not sum up correlations as small as 0.04.
     slow = np.repeat(rng.normal(0.0, 0.2, (len(times_s) // 50, 2)), 50, axis=0)
     assert repeats_in_blocks(times_s, white + slow, RULES.network) == pytest.approx(
         1.0 + 0.04 * 50.0, rel=0.15
@@ -152,7 +152,7 @@ def test_curves_and_derivatives_are_those_of_scipy() -> None:
     times_s = np.linspace(knots_s[0], knots_s[-1] - 1e-9, 300)
     for derivative in range(4):
         expected = BSpline(knots_s, spline.coefficients, 3)(times_s, nu=derivative)
-        scale = np.abs(expected).max()  # of what rounds
+        scale = np.abs(expected).max()  # of rounding
         assert spline.at(times_s, derivative) == pytest.approx(expected, abs=1e-12 * scale)
 
 
@@ -170,5 +170,5 @@ def test_jerks_sum_to_the_integral() -> None:
     total = np.sum(products(*jerks(knots_s), spline.coefficients) ** 2)
     times_s = np.linspace(knots_s[0], knots_s[-1], 200_001)
     dense = np.sum(spline.at(times_s, 3) ** 2, axis=1)
-    # The jerk is constant from knot to knot, and the sum misses its steps by a sample each.
+    # The jerk is constant from knot to knot, and the mean misses each of its steps by a sample.
     assert total == pytest.approx(np.mean(dense) * np.ptp(times_s), rel=5e-3)

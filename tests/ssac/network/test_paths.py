@@ -1,4 +1,4 @@
-"""Paths: written and read, laid over each other, compared, and put into metres by the ground."""
+"""Paths: written and read, aligned, compared, and put into metres by positions on the ground."""
 
 import json
 from dataclasses import replace
@@ -19,7 +19,7 @@ from ssac.rules import GroundRules
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, RULES, make_flight
 
-UNIX_S = 1.7e9 + np.arange(50) * 0.2  # as of a receiver that counts from 1970
+UNIX_S = 1.7e9 + np.arange(50) * 0.2  # as of a receiver with Unix time
 
 
 def _path(with_deviations=True):
@@ -97,7 +97,7 @@ def test_what_is_no_path_is_refused_in_one_line(tmp_path, text, reason):
     assert "\n" not in str(raised.value)
 
 
-# --- Laid over each other ---
+# --- Aligned ---
 
 RNG = np.random.default_rng(3)
 POINTS = RNG.normal(size=(40, 3)) * (5.0, 2.0, 1.0)
@@ -105,7 +105,7 @@ TRUE = Similarity(2.5, Rotation.from_rotvec([0.4, -2.0, 1.0]).as_matrix(), np.ar
 
 
 def test_a_similarity_is_that_of_the_points():
-    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):  # of a plane too
+    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):  # also in a plane
         found = similarity(points, TRUE.apply(points))
         assert found.scale == pytest.approx(TRUE.scale, rel=1e-9)  # rounding
         np.testing.assert_allclose(found.R, TRUE.R, atol=1e-9)
@@ -115,7 +115,7 @@ def test_a_similarity_is_that_of_the_points():
     assert similarity(POINTS, TRUE.apply(POINTS), with_scale=False).scale == 1.0
     target = TRUE.apply(POINTS) + RNG.normal(0.0, 0.3, POINTS.shape)
     found = similarity(POINTS, target)
-    for _ in range(50):  # no other near by has less squares
+    for _ in range(50):  # none near by has a smaller sum of squares
         turn = Rotation.from_rotvec(RNG.normal(0.0, 0.01, 3)).as_matrix()
         scale, shift = found.scale * RNG.normal(1.0, 0.01), RNG.normal(0.0, 0.01, 3)
         near = Similarity(scale, turn @ found.R, found.t + shift)
@@ -134,7 +134,7 @@ FRAME = Similarity(21.0, Rotation.from_rotvec([0.3, 1.9, -0.6]).as_matrix(), np.
 
 
 def flight(duration_s, seed, hovers=()):
-    """Give a flight [m] as a function of time [s]: random points every 4 s, but for hovers."""
+    """Return a flight [m] as a function of time [s]: random points every 4 s, but for hovers."""
     rng = np.random.default_rng(seed)
     knots_s = np.arange(-8.0, duration_s + 8.1, 4.0)
     points = np.cumsum(rng.normal(0.0, 4.0, (len(knots_s), 3)) * (1.0, 1.0, 0.3), axis=0)
@@ -145,7 +145,7 @@ def flight(duration_s, seed, hovers=()):
 
 
 def both(duration_s, seed, clock, span_s, hovers=(), rate_hz=30.0, noise_m=0.02, truth_m=0.02):
-    """Give an estimate over `span_s` in its own frame, and the truth of the whole flight."""
+    """Return an estimate over `span_s` in its own frame, and the truth of the whole flight."""
     rng = np.random.default_rng(seed + 1000)
     position = flight(duration_s, seed, hovers)
     times_s = np.arange(*span_s, 1.0 / rate_hz)
@@ -158,13 +158,13 @@ def both(duration_s, seed, clock, span_s, hovers=(), rate_hz=30.0, noise_m=0.02,
 
 
 def check(found, clock, tolerance_s=0.004):
-    """Tolerance: 2 cm of noise at some 2 m/s are 10 ms a sample, of some hundred samples."""
+    """The tolerance: 2 cm of noise at some 2 m/s are 10 ms a sample, for some hundred samples."""
     got, frame = found
     at_s = np.array([got.t_ref_s])
     assert got.cam2_from_cam1(at_s) == pytest.approx(clock.cam2_from_cam1(at_s), abs=tolerance_s)
     assert frame.scale == pytest.approx(FRAME.scale, rel=0.01)  # noise of 2 cm in some 10 m
     off = Rotation.from_matrix(frame.R.T @ FRAME.R).magnitude()
-    assert np.degrees(off) < 0.5  # as the scale
+    assert np.degrees(off) < 0.5  # noise, as for the scale
 
 
 @pytest.mark.parametrize("shift_s", [0.0, -301.37, 1.7e9])
@@ -176,14 +176,14 @@ def test_any_shift_is_found(shift_s):
 @pytest.mark.parametrize(
     ("hovers", "span_s"),
     [
-        ([(0.0, 120.0)], (90.0, 190.0)),  # the truth hovers where the estimate moves if shifted
+        ([(0.0, 120.0)], (90.0, 190.0)),  # shifted, the estimate moves where the truth hovers
         ([(40.0, 100.0), (130.0, 300.0)], (30.0, 200.0)),  # both hover most of the time
         ([(0.0, 60.0), (90.0, 150.0), (180.0, 300.0)], (0.0, 300.0)),
     ],
 )
 def test_a_hover_is_no_trap(seed, hovers, span_s):
     clock = Clock(57.3, 12.0, 0.0)
-    # What moves is a third of the samples at least as short as 30 s.
+    # The object moves in as little as a fifth of the samples.
     check(best_shift(*both(300.0, seed, clock, span_s, hovers)), clock, 0.01)
 
 
@@ -192,7 +192,7 @@ def test_the_rate_is_found_with_its_prior_and_without_one_is_not_tried():
     estimate, truth = both(300.0, 5, clock, (0.0, 300.0))
     got = best_shift(estimate, truth, rate_std_ppm=1000.0)
     check(got, clock)
-    # 10 ms a sample, 1500 samples with deviation 87 s: 3 ppm; three deviations.
+    # 10 ms a sample, 1500 samples whose times have a deviation of 87 s: 3 ppm; three deviations.
     assert got[0].skew_ppm == pytest.approx(400.0, abs=10.0)
     assert best_shift(estimate, truth, rate_std_ppm=0.0)[0].skew_ppm == 0.0
 
@@ -240,14 +240,14 @@ def pair(noise_m=NOISE_M, span_s=(10.0, 90.0)):
 def test_the_error_is_that_of_the_noise():
     found = compare(*pair())
     in_time, as_shape = found.in_time, found.as_shape
-    # Every fourth sample is met on the point; 400 of three coordinates are known to 3 %, and the
-    # similarity takes 9 of 1200 degrees of freedom. Three deviations.
+    # Every fourth sample coincides with one of the truth; 400 samples of three coordinates give the
+    # error to 3 %, and the similarity takes 9 of 1200 degrees of freedom. Three deviations.
     assert in_time.rmse_m == pytest.approx(np.sqrt(3.0) * NOISE_M, rel=0.09)
     assert in_time.coverage == 1.0
     assert len(in_time.distances_m) in (399, 400)  # the last may lie beyond the end
     assert in_time.explained == pytest.approx(1.0, abs=1e-4)  # 5 cm in 10 m
     assert in_time.similarity.scale == pytest.approx(FRAME.scale, rel=0.002)  # 3 cm in some 10 m
-    # The nearest point leaves the error along the path out: two of three coordinates are left.
+    # The nearest point leaves out the error along the path: two of three coordinates remain.
     assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
 
 
@@ -257,7 +257,7 @@ def test_where_the_truth_has_no_samples_the_estimate_is_not_off_nor_the_other_wa
     holed = Path(truth.times_s[kept], truth.positions_m[kept])
     as_shape = compare(estimate, holed).as_shape
     whole = estimate.times_s[(np.abs(estimate.times_s - 50.0) > 3.0) & (estimate.times_s < 80.0)]
-    # Steps of the truth, 0.2 s, on both sides of the gap and at the end.
+    # A step of the truth, 0.2 s or 4 samples, on both sides of the gap and at the end.
     assert len(as_shape.distances_m) == pytest.approx(len(whole), abs=4 * 3)
     assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)  # as without holes
     kept = (estimate.times_s < 30.0) | (estimate.times_s > 50.0)
@@ -304,7 +304,7 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
     told = read_json(tmp_path / "out.json")
     assert told["in_time"]["n_samples"] in (399, 400)
     clock = Clock(*(told["in_time"][key] for key in ("shift_s", "rate_ppm", "t_ref_s")))
-    # 5 cm a sample at some 2 m/s: 25 ms, of 400.
+    # 5 cm a sample at some 2 m/s are 25 ms, for 400 samples.
     np.testing.assert_allclose(clock.cam2_from_cam1(50.0), CLOCK.cam2_from_cam1(50.0), atol=0.005)
     assert json.dumps(told["as_shape"])
 
@@ -374,14 +374,14 @@ def test_positions_give_metres_and_the_frame(solved, tmp_path):
     flight, answer = solved
     write_positions(tmp_path / "positions.csv", centres_m(flight))
     found = in_frame(answer, ground_of_positions(answer, tmp_path / "positions.csv", GROUND))
-    assert off_m(flight, found) < 0.05  # 9 mm of pixel noise, and what leaves the cameras off
+    assert off_m(flight, found) < 0.05  # 9 mm of pixel noise, and errors of the cameras
     for camera, true in zip(found.cameras, centres_m(flight), strict=True):
         assert -camera.R.T @ camera.t == pytest.approx(true, abs=0.1)  # of 20 m, likewise
     # Deviations are lengths: they grow with the scale, and no turn changes their sum of squares.
     before = answer.paths[0].path.deviations_m
     after = found.paths[0].path.deviations_m
     scale = np.sqrt(np.sum(after**2) / np.sum(before**2))
-    assert scale == pytest.approx(flight.distance_m, rel=0.01)  # the unit that it was in
+    assert scale == pytest.approx(flight.distance_m, rel=0.01)  # the answer's unit
 
 
 def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
@@ -395,7 +395,7 @@ def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
 def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
     flight, answer = solved
     rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
-    # It turns so that the alignment cannot take the arm.
+    # The body turns, so that the alignment cannot absorb the arm.
     yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
     turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
     antenna_m = on_ground(flight.path(TIMES_S)) + turns.apply(arm_m)

@@ -1,4 +1,4 @@
-"""Laws of the network: truth, order, wrong cameras, groups, deviations, and what pairs tell."""
+"""Laws of the network: truth, order, wrong cameras, groups, deviations, and links of pairs."""
 
 from dataclasses import replace
 from functools import cache
@@ -21,7 +21,7 @@ from tests.ssac.synthetic import project
 from tests.ssac.synthetic import rotation_angle_deg as turn_deg
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])
-"""Of an object some 2.5 m wide, in the first camera's frame: it does not turn."""
+"""Second moments of an object some 2.5 m wide that does not turn, in the first camera's frame."""
 
 
 @cache
@@ -31,7 +31,7 @@ def solved(n_cameras: int = 4) -> tuple[Flight, NetworkAnswer]:
 
 
 def seen_as(flight: Flight, change, has_frames: bool = False) -> Flight:
-    """The same flight, with points and more that a function makes of its own times [s]."""
+    """Add what `change` gives at the first clock's times [s]: shifts [px], options of `seen_by`."""
     seen = []
     for k, one in enumerate(flight.seen):
         points_px, more = change(k, flight.clocks[k].cam1_from_cam2(one.times_s))
@@ -44,9 +44,9 @@ def test_clocks_poses_and_the_path_are_found_with_where_it_holds_and_how_well() 
     flight, answer = solved()
     assert (answer.status, answer.reason) == (Status.OK, "")
     for k, camera in enumerate(answer.cameras[1:], 1):
-        # 0.4 px at some 200 px/s over 300 sightings is 0.1 ms; the path's share makes it a few.
+        # 0.4 px at some 200 px/s over 300 sightings is 0.1 ms; the path's errors make it more.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1.5e-3
-        assert turn_deg(camera.R, flight.poses[k][0]) < 0.15  # 2 px, of which noise leaves less
+        assert turn_deg(camera.R, flight.poses[k][0]) < 0.15  # 2 px; noise leaves less
         assert np.linalg.norm(camera.t - flight.poses[k][1]) < 0.1  # of 20 m
         assert camera.rms_px == pytest.approx(0.4, rel=0.15)
     path, spans_s = answer.paths[0].path, answer.paths[0].spans_s
@@ -55,9 +55,9 @@ def test_clocks_poses_and_the_path_are_found_with_where_it_holds_and_how_well() 
     assert np.sqrt(np.mean(np.sum(off_m**2, axis=1))) < 0.03
     times_s, (starts_s, ends_s) = path.times_s[:, None], spans_s.T
     assert np.any((times_s >= starts_s) & (times_s <= ends_s), axis=1).all()
-    # Neighbours share their errors, so that the share of one flight strays: 0.95 +- 0.1.
+    # Errors of neighbours are correlated, so that the share of one flight varies: 0.95 +- 0.1.
     assert np.mean(off_m < 2.0 * path.deviations_m) > 0.75
-    assert np.median(off_m / path.deviations_m) > 0.15  # nor are they far too wide
+    assert np.median(off_m / path.deviations_m) > 0.15  # nor are deviations far too wide
 
 
 def test_the_order_of_the_cameras_does_not_matter() -> None:
@@ -69,34 +69,34 @@ def test_the_order_of_the_cameras_does_not_matter() -> None:
     other = replace(flight, seen=[flight.seen[k] for k in order]).solved(links)
     by_name = {camera.name: camera for camera in other.cameras}
     for camera in answer.cameras[1:]:
-        # The same minimum from another start, and priors of skew that are of another camera's.
+        # The same minimum from another start, with priors of skew against another camera's clock.
         assert turn_deg(by_name[camera.name].R @ by_name["cam1"].R.T, camera.R) < 0.02
 
 
 def test_a_camera_with_wrong_frame_numbers_is_reported_and_spoils_nothing() -> None:
     flight, answer = solved()
     wrong = flight.seen[3]
-    half = len(wrong) // 2  # its second half first: no clock makes that right
+    half = len(wrong) // 2  # its halves are swapped: no clock makes that right
     track = PointTrack(wrong.times_s, np.roll(wrong.points_px, -half, axis=0))
     links = flight.links()
-    for k in range(3):  # what its pairs tell is of chance
+    for k in range(3):  # the links of its pairs are arbitrary
         links[k, 3] = flight.link(k, 3, 1.7 * (k + 1))
     found = replace(flight, seen=[*flight.seen[:3], seen_by(track, "wrong")]).solved(links)
     assert [camera.status == Status.OK for camera in found.cameras] == [True, True, True, False]
     assert "fits nowhere" in found.cameras[3].reason
     assert "wrong" in found.reason
     for mine, whole in zip(found.cameras[:3], answer.cameras[:3], strict=True):
-        assert turn_deg(mine.R, whole.R) < 0.2  # three cameras' noise in place of four's
+        assert turn_deg(mine.R, whole.R) < 0.2  # noise of three cameras, not of four
 
 
 def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solutions() -> None:
     flight, _ = solved()
     found = flight.solved(flight.links() | {(1, 2): flight.link(1, 2, 3.0)})
     assert found.status == Status.OK
-    assert found.wrong_pairs == {(1, 2): pytest.approx(3.0, abs=0.05)}  # its clock has no skew
+    assert found.wrong_pairs == {(1, 2): pytest.approx(3.0, abs=0.05)}  # the link has no skew
     guess = replace(flight.link(1, 2, 3.0), is_reliable=False)
     found = flight.solved(flight.links() | {(1, 2): guess})
-    assert set(found.closures_s) == {(0, 1, 3), (0, 2, 3)}  # none rests on a guess
+    assert set(found.closures_s) == {(0, 1, 3), (0, 2, 3)}  # no closure rests on a guess
     links = {pair: link for pair, link in flight.links().items() if pair in ((0, 1), (2, 3))}
     found = flight.solved(links)
     assert [camera.group for camera in found.cameras] == [1, 1, 2, 2]
@@ -172,7 +172,7 @@ def test_readouts_are_counted_once_told_by_the_rig_or_found(is_told: bool) -> No
 
     found = seen_as(flight, read_out, has_frames=True).solved()
     for k, camera in enumerate(found.cameras):
-        # Without noise; a prior of 10 ms draws what is found by little.
+        # With little noise, the prior of 10 ms hardly moves the estimate.
         assert camera.readout_s == pytest.approx(readouts_s[k], abs=5e-4)
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 5e-4
         assert (camera.readout_std_s == 0.0) == is_told
@@ -180,7 +180,7 @@ def test_readouts_are_counted_once_told_by_the_rig_or_found(is_told: bool) -> No
 
 @pytest.mark.parametrize("has_frames", [False, True])
 def test_the_length_by_which_events_are_behind_is_found_and_frames_are_not(has_frames) -> None:
-    """Of a flight that is seen 0.2 px behind its motion in the image."""
+    """The flight is seen 0.2 px behind its motion in the image."""
     flight = make_flight(3, noise_px=0.05)
 
     def moved(k: int, times_s: np.ndarray) -> tuple[np.ndarray, dict]:
@@ -189,7 +189,7 @@ def test_the_length_by_which_events_are_behind_is_found_and_frames_are_not(has_f
 
     found = seen_as(flight, moved, has_frames).solved()
     lengths_px = [state.behind_px for state in found.built[0].network.states]
-    # 0.05 px of noise on 300 points a camera leave 0.003 px, and what clocks leave of it more.
+    # 0.05 px of noise on 300 points a camera leave 0.003 px; unknown clocks make it more.
     assert lengths_px == pytest.approx(
         [0.0 if has_frames else 0.2] * 3, abs=0.03 * (not has_frames)
     )
@@ -213,7 +213,7 @@ def test_before_the_sightings_no_camera_is_told_from_another(are_silhouettes: bo
 
 
 def shaped(n_cameras: int) -> Flight:
-    """A flight seen by the centres of silhouettes, which tell their second moments."""
+    """A flight seen by the centres of silhouettes whose second moments are known."""
     flight = make_flight(n_cameras, noise_px=0.05)
 
     def shifted(k: int, times_s: np.ndarray) -> tuple[np.ndarray, dict]:
@@ -237,8 +237,8 @@ def test_what_perspective_does_to_silhouettes_turns_no_camera_and_two_tell_none(
         max(turn_deg(c.R, R) for c, (R, _) in zip(one.solved().cameras, flight.poses, strict=True))
         for one in (without, flight)
     ]
-    # Of an object that does not turn, shifts of some 3 px of 900 are the same all the time: they
-    # pass for turns of the cameras. Taken off by a path that they moved, they leave a tenth.
+    # As the object does not turn, shifts of some 3 px, with f = 900 px, stay the same: they look
+    # like turns of the cameras. Corrected along a path that they have moved, they leave a tenth.
     assert turned[0] > 0.1
     assert turned[1] < 0.2 * turned[0]
     flight = shaped(2)
@@ -247,11 +247,11 @@ def test_what_perspective_does_to_silhouettes_turns_no_camera_and_two_tell_none(
 
 
 DEVIATIONS = np.array([1e-6, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-6])
-"""Far below what the flight's sightings tell: 1 us, 0.6 mdeg and 1 ppm."""
+"""Deviations far below those that sightings give: 1 us, 0.6 mdeg and 1 ppm."""
 
 
 def true_pair(flight, a, b, turn_rad=0.0):
-    """What a pair without errors tells, or with a turn."""
+    """Return the link of a pair without errors, but for a turn of `turn_rad`."""
     link = flight.link(a, b)
     R = Rotation.from_rotvec([0.0, turn_rad, 0.0]).as_matrix() @ link.R
     skew_ppm = flight.clocks[b].skew_ppm - flight.clocks[a].skew_ppm
@@ -261,7 +261,7 @@ def true_pair(flight, a, b, turn_rad=0.0):
 
 @pytest.fixture(scope="module")
 def sure():
-    """A flight, and the answer where all pairs tell what one without errors would."""
+    """A flight, and its answer with links without errors between all pairs."""
     flight = make_flight(3)
     return flight, flight.solved({pair: true_pair(flight, *pair) for pair in flight.links()})
 
@@ -269,7 +269,7 @@ def sure():
 def test_sure_pairs_carry_clocks_and_poses(sure) -> None:
     flight, found = sure
     for k, camera in enumerate(found.cameras[1:], 1):
-        # What pairs tell is true and sure: some deviations are left of it.
+        # The links are true, with tiny deviations: errors of a few deviations are left.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
         assert turn_deg(camera.R, flight.poses[k][0]) < 0.006
         assert camera.t_d_std_s < 1e-5
@@ -310,7 +310,7 @@ def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
 def test_pairs_that_share_views_tell_less_than_pairs_that_share_none():
     flight = make_flight()
     pairs = {(a, b): true_pair(flight, a, b) for a, b in combinations(range(4), 2)}
-    # Each camera's outline is in three pairs, of six.
+    # Each camera's outline is in three of the six pairs.
     assert shared_by(pairs) == dict.fromkeys(pairs, 3.0)
     assert shared_by({(0, 1): pairs[0, 1], (2, 3): pairs[2, 3]}) == {(0, 1): 1.0, (2, 3): 1.0}
     assert shared_by({(0, 1): pairs[0, 1], (1, 2): pairs[1, 2]}) == {(0, 1): 1.5, (1, 2): 1.5}

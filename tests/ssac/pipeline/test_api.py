@@ -1,4 +1,4 @@
-"""`ssac.sync`: every kind of camera and rig gives one answer, and a wrong argument one error."""
+"""`ssac.sync`: all kinds of input give the same answer, and a wrong argument one clear error."""
 
 import ast
 import copy
@@ -51,7 +51,7 @@ def result(files):
     return ssac.sync(files / "cam1.h5", files / "cam2.h5", files / "rig.yaml")
 
 
-# --- Every kind of input is opened as the same ---
+# --- Kinds of input ---
 
 CAMERAS = {
     "path": lambda files, k: files / f"cam{k}.h5",
@@ -112,7 +112,7 @@ def test_a_config_or_its_fields_are_the_same():
     fields = {"interval_s": (-0.3, 0.4), "trials": 500, "denoise": False, "seed": 3}
     given, camera = copy.deepcopy(EVENTS), copy.deepcopy(CAMERA)
     by_config = ssac.sync(*given, [camera, camera], "joint", Config(**fields))
-    # What is given is not changed.
+    # The arguments are not changed.
     assert all(np.array_equal(one, other) for one, other in zip(given, EVENTS, strict=True))
     assert np.array_equal(camera.K, K)
     assert_same(ssac.sync(*EVENTS, RIG, "joint", **fields).estimate, by_config.estimate)
@@ -130,7 +130,7 @@ def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
     assert ssac.sync(EVENTS[0], far, RIG, "ssac").answer.start is not None
 
 
-# --- What the result has ---
+# --- The result ---
 
 
 def test_a_result_has_what_the_estimate_has(result):
@@ -219,7 +219,7 @@ for k, bad in enumerate(BAD_K):
     WRONG[f"K {k}"] = ((ONE, OTHER, [CAMERA, Camera(bad, WIDTH, HEIGHT)]), "^camera 2: .*got")
 for k, bad in enumerate(POSES):
     WRONG[f"pose {k}"] = ((ONE, OTHER, Rig(CAMERA, CAMERA, bad)), "^the rig, .*: expected a")
-for k, bad in enumerate(UNEQUAL):  # Bug: they reached NumPy, which could not broadcast them
+for k, bad in enumerate(UNEQUAL):  # Bug: NumPy raised an error of broadcasting
     track = PointTrack(0.1 * np.arange(10), *map(np.ones, bad))
     WRONG[f"track {k}"] = ((track, OTHER, RIG), "^camera 1: a track of 10 times must have points")
 
@@ -324,7 +324,7 @@ def test_functions_of_methods_have_their_types() -> None:
 def test_other_names_are_what_they_say() -> None:
     names: dict[str, object] = {}
     exec("import ssac\nfrom ssac import *", names)
-    assert names["ssac"] is ssac  # whose name the paper's method has
+    assert names["ssac"] is ssac  # the paper's method has the same name
     assert callable(ssac.ssac)
     assert ssac.__version__ == version("ssac-suite")
     with pytest.raises(AttributeError, match="has no attribute 'jiont'"):

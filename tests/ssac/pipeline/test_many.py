@@ -1,4 +1,4 @@
-"""`ssac sync` of three cameras, and the path of two: files in, files out."""
+"""The files that `ssac sync` reads and writes for three cameras, and the path from two."""
 
 import re
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Files:
         return [self.folder / f"cam{k + 1}.csv" for k in range(n)]
 
     def rms_off_m(self, file: Path) -> float:
-        """How far a path that was written is off the true one."""
+        """Return the rms distance [m] of a written path from the true one."""
         path = read_path(file)
         off_m = np.linalg.norm(path.positions_m - self.flight.path(path.times_s), axis=1)
         return float(np.sqrt(np.mean(off_m**2)))
@@ -62,7 +62,7 @@ def test_three_cameras(files, tmp_path):
     assert [camera["status"] for camera in found["cameras"]] == ["ok"] * 3
     for k, camera in enumerate(found["cameras"][1:], 1):
         true_s = flight.shown_s(k, camera["t_ref_s"])
-        # Frames' readouts are not known, and 10 ms of them are allowed for.
+        # Readouts of frames are unknown, so deviations include 10 ms for them.
         assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
         assert camera["t_d_std_s"] < 0.02
     assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flight.distance_m, rel=1e-4)
@@ -73,11 +73,11 @@ def test_three_cameras(files, tmp_path):
     shifts_s = [
         entry.get("timeshift_cn_cnm1", 0.0) for entry in yaml.safe_load(rig_file.open()).values()
     ]
-    # The clocks' skews, of some 100 ppm, between the middles of what the cameras saw.
+    # Offsets hold at different times, between which skews of some 100 ppm change them.
     assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
     assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
-    assert files.rms_off_m(path_file) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
-    assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see it most of it
+    assert files.rms_off_m(path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
+    assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see most of it
 
 
 @pytest.mark.parametrize(
@@ -97,12 +97,12 @@ def test_files_of_one_name_are_told_apart_by_their_folders(names, short):
 def test_options_reach_every_pair(files):
     code, _, err = sync(files, files.cameras(3), "--search", -1, 1)
     assert code == 1, err
-    assert err.count("no_common_time") == 2  # clocks 26 and 30 s apart
+    assert err.count("no_common_time") == 2  # the clocks are 26 and 30 s apart
     assert "offsets" not in err
 
 
 def save_another(path, start_s):
-    """Save some seconds of another object: they fit nowhere."""
+    """Save a track of 3 s of another object, which no offset fits."""
     times_s = start_s + 0.05 * np.arange(60)
     points_px = 300.0 + 100.0 * np.column_stack([np.cos(9.0 * times_s), np.sin(7.0 * times_s)])
     save_track(path, PointTrack(times_s, points_px))
@@ -132,18 +132,18 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     assert code == 0, err
     assert "time offset" in text
     assert "which hold from" in err
-    assert files.rms_off_m(out) < 0.15  # as of three cameras, and one less to hold them
+    assert files.rms_off_m(out) < 0.15  # more than with three cameras, as one view is missing
     path = read_path(out)
     assert path.deviations_m.shape == path.positions_m.shape
     one, other = files.cameras(2)
     found, rig = tmp_path / "out.json", tmp_path / "rig.yaml"
-    outputs = ("--json", found, "--write-rig", rig, "--distance", 7)  # of a camera without a place
+    outputs = ("--json", found, "--write-rig", rig, "--distance", 7)  # one camera gets no place
     code, text, err = sync(files, [one, late, other], *outputs)
     assert code == 1, err
     assert re.search(r"late +no_match", text)
     assert "placed; no pose with the others: camera 2 (no_match)\n" in err
     assert load_rig(rig, (1, 2)).T_2_1 is None
-    written = load_rig(rig, (1, 3))  # past the camera that has no pose
+    written = load_rig(rig, (1, 3))  # the camera between has no pose
     np.testing.assert_allclose(written.T_2_1[:3, :3], read_json(found)["cameras"][2]["R"])
     assert not written.in_metres
     assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
@@ -166,6 +166,6 @@ def test_the_path_of_known_extrinsics_has_their_scale_if_they_have_one(files, tm
         T_2_1[:3, 3] /= files.flight.distance_m
         assert err.count("in distances of the first two cameras placed") == 2
     else:
-        assert files.rms_off_m(out) < 0.15  # as where --distance says the scale
+        assert files.rms_off_m(out) < 0.15  # as where --distance states the scale
     np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
     assert load_rig(again).in_metres == (unit == "m")

@@ -1,4 +1,4 @@
-"""Methods of other packages, found, run, refused where they are broken, and the docs' example."""
+"""Methods of other packages: how they are found, run and refused, and the docs' example."""
 
 import json
 import os
@@ -54,7 +54,7 @@ def chain():
 
 
 def install(folder: Path, package: str, entry: str, source: str = GOOD, version: str = "1.2"):
-    """Put a module, and the metadata that an installer writes, into a folder of sys.path."""
+    """Write a module, and the metadata that an installer writes, into a folder of sys.path."""
     (folder / f"{package}.py").write_text(source)
     info = folder / f"{package}-{version}.dist-info"
     info.mkdir(exist_ok=True)
@@ -64,7 +64,7 @@ def install(folder: Path, package: str, entry: str, source: str = GOOD, version:
 
 @pytest.fixture
 def site(tmp_path, monkeypatch):
-    """A folder of sys.path; what is imported from it is forgotten afterwards."""
+    """A folder of sys.path, whose modules are removed from sys.modules afterwards."""
     folder = tmp_path / "site"
     folder.mkdir()
     monkeypatch.syspath_prepend(folder)
@@ -155,7 +155,7 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
 def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
     source = GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
     install(site, "careless", "mine = careless:estimate", source)
-    # No SsacError, which would blame the data: the run counts as crashed.
+    # A PluginError counts as a crash; an SsacError would blame the data.
     with pytest.raises(PluginError, match=rf"careless 1\.2 \(entry .*{message}"):
         chain.estimate(Registry()["mine"])
 
@@ -287,7 +287,7 @@ def test_the_version_follows_every_source_file(site):
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    """Its code blocks, and a folder where it is installed as its pyproject.toml says."""
+    """A folder with the installed example, its grid, and the code of its method object."""
     text = (ROOT / "docs" / "methods.md").read_text()
     pyproject, grid = (tomllib.loads(block) for block in code_blocks(text, "toml"))
     module, method_object = code_blocks(text, "python")
@@ -308,7 +308,7 @@ def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path
     folder, _, _ = example
     events = load_events(recorded / "cam1.h5").events
     events["t"] += 250_000
-    few = np.delete(events, slice(None, None, 100))  # or else they are refused as a copy
+    few = np.delete(events, slice(None, None, 100))  # equal events would be refused as a copy
     save_events_h5(tmp_path / "later.h5", few, WIDTH, HEIGHT)
     out = tmp_path / "out.json"
     args = (recorded / "cam1.h5", tmp_path / "later.h5", "--rig", recorded / "rig.yaml")

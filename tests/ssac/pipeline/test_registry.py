@@ -1,4 +1,4 @@
-"""Laws of all our methods, how they are listed and chosen, and that they share what they can."""
+"""Laws of all our methods, how they are listed and chosen, and which stages they share."""
 
 from collections import Counter
 from dataclasses import replace
@@ -75,7 +75,7 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, raw, chain)
     delay_s = -0.295  # by no whole number of frames
     searched, delayed = (Config(interval_s=(-0.4 + by_s, 0.5 + by_s)) for by_s in (0.0, delay_s))
     estimate = Chain([raw[0], raw[1].delayed(delay_s)], RIG, delayed).estimate(name)
-    # To the last bit, though all that is found of the same events is at hand to be misused.
+    # The delayed chain may reuse cached results, and must give the same to the last bit.
     assert_same(chain.under(delayed).delayed(delay_s).estimate(name), estimate)
     if not METHODS[name].follows_clock:
         return
@@ -85,7 +85,7 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, raw, chain)
         found, wanted = getattr(estimate, field), getattr(expected, field)
         assert (found is None) == (wanted is None)
         if wanted is not None:
-            # Rounding of times in seconds; events may not enter or leave the windows by it.
+            # The tolerance is the rounding of times, by which no event may enter or leave a window.
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
 
 
@@ -96,24 +96,24 @@ def test_every_method_answers_alike_wherever_the_interval_lies(name, chain):
         for by_s in (0.0, 0.3137)  # by no whole step of any search
     )
     assert (centred.status, moved.status) == (Status.OK, Status.OK)
-    # Counts of events jump at the candidates, which are others: 10 us are the search's resolution.
-    # Samples begin where the search ended, so their windows hold other events; where a free skew
-    # makes t_d uncertain (0.6 ms with a known pose here) that moves it by a part of its deviation.
+    # The candidates differ, and event counts jump at each: the search resolves 10 us. Samples start
+    # at its result, so their windows hold other events; where a free skew makes t_d uncertain
+    # (0.6 ms with a known pose here), that moves t_d by a part of its deviation.
     part_s = 0.1 * centred.t_d_std_s if np.isfinite(centred.t_d_std_s) else 0.0
     assert moved.t_d_s == pytest.approx(centred.t_d_s, abs=max(0.03e-3, part_s))
     if centred.R is not None:
         assert rotation_angle_deg(moved.R, centred.R) < 0.02
         assert angle_deg(moved.t, centred.t) < 0.02
-    # The intervals hold the greatest correlation of all, so that also the correlations' answers are
-    # the same; a greater one outside of one of them would be a right answer to another question.
+    # Both intervals hold the global maximum of the correlation, so the correlation methods agree
+    # too; a greater maximum in only one of them would make different answers right.
     assert moved.t_d_s == pytest.approx(T_D_S, abs=0.011)  # half a frame, at most
 
 
-# --- Lists of methods, which import none ---
+# --- Lists of methods, for which no method is imported ---
 
 
 def test_ours_are_declared_in_their_files_which_is_all_that_a_method_takes(tmp_path, monkeypatch):
-    """In the order of the paper's method, what refines it, and what it is compared with."""
+    """The order is the paper's method, its refinements, and the methods compared with it."""
     names = ["ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known"]
     assert [method.name for method in OURS] == [*names, "albl", "zncc_e", "zncc_f", "event_rate"]
     assert list(all_summaries())[: len(OURS)] == [method.name for method in OURS]
@@ -138,12 +138,12 @@ def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name
     assert [name for name, _ in complete_method("zncc")] == ["zncc_e", "zncc_f"]
 
 
-# --- What methods, offsets and parameters have in common is found once ---
+# --- Stages that methods, offsets and parameters share run once ---
 
 
 @pytest.fixture
 def calls(monkeypatch):
-    """How often each stage is called from now on, by its name."""
+    """Count the calls of each stage, by its name."""
     counts = Counter()
 
     def counted(name, work):
@@ -174,10 +174,10 @@ def test_each_stage_runs_once_for_all_ten_methods(raw, calls, monkeypatch):
         "view_of": 2,
         "algorithm_1": 1,
         "algorithm_2": 1,
-        "joint_from": 2,  # of a free pose, and of a known one
+        "joint_from": 2,  # for a free pose, and for a known one
         "tangency_from": 2,
     }
-    # Once more for silhouettes: camera 1's do not close, so that nobody looks at camera 2's.
+    # One more read is for silhouettes: camera 1's do not close, so camera 2's are not needed.
     assert [sorted(frames) for frames in asked.values()] == [["", "", "means"], ["", "means"]]
 
 
@@ -238,7 +238,7 @@ def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw,
 def test_what_was_never_asked_for_need_not_be_usable(raw):
     backwards = replace(raw[1], events=raw[1].events[::-1])
     chain = Chain((raw[0], backwards), RIG)
-    assert chain.estimate("zncc_f").status == "ok"  # which looks at frames alone
+    assert chain.estimate("zncc_f").status == "ok"  # it uses frames alone
     with pytest.raises(SsacError, match="camera 2: events must be sorted"):
         chain.estimate("ssac")
     with pytest.raises(SsacError, match="3 recordings for the 2 cameras"):

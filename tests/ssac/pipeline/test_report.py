@@ -1,4 +1,4 @@
-"""What is told of an answer: text and JSON, figures, and the page."""
+"""Reports of an answer: text and JSON, figures, and the HTML page."""
 
 import base64
 import json
@@ -55,7 +55,7 @@ def changed(answer: Answer, **changes) -> Answer:
 
 
 def told(answer: Answer, **changes):
-    """Give the text and the JSON for another estimate than the answer's."""
+    """Return the text and the JSON report of an answer whose estimate is changed."""
     other = changed(answer, **changes)
     return report_text(other), report_json(other)
 
@@ -93,7 +93,7 @@ def test_an_offset_is_explained_where_it_holds_alone(answer):
 def test_clocks_are_told(answer):
     plain = report_json(answer)
     names = ("t_ref_s", "skew_ppm", "skew_std_ppm", "clock_covariance", "clock_jump")
-    assert [plain[name] for name in names] == [None] * 5  # the paper's takes them to run alike
+    assert [plain[name] for name in names] == [None] * 5  # the paper's method has no skew
     assert plain["clock_knots"] == []
     clock = {"t_ref_s": 5.0, "skew_ppm": -400.0, "skew_std_ppm": 2.5}
     strays_s = np.array([0.001, -0.002, 0.001])
@@ -128,7 +128,7 @@ def test_a_skew_that_is_of_its_prior_is_no_finding(answer, std_ppm, is_assumed):
     clock = {"t_ref_s": 5.0, "skew_ppm": 8.0, "skew_std_ppm": std_ppm}
     text, _ = told(answer, **clock)
     assert ("rather taken to be within 50 ppm than found: see --skew-prior" in text) is is_assumed
-    # The prior of a rate that was searched for is about that rate, of which it says nothing.
+    # If the rate was searched for, the prior is centred on the rate found, and says nothing of it.
     for rate in (1.0, 0.7):
         guess = Guess(0.05, 5.0, rate, 1.0)
         start = Start(AllOffsets(np.zeros(1), np.zeros(1), [guess], 0.02))
@@ -198,7 +198,7 @@ def test_several_things_are_told(answer):
     assert report_json(crowded)["objects"][0] == {"seen": 3, "share": 0.25}
     refused = used(answer, ObjectsUsed(3, 0.0), ObjectsUsed(2, 0.0))
     assert "objects        camera 1 sees 3; camera 2 sees 2\n" in report_text(refused)
-    # A method that looks at no object says nothing of them.
+    # A method that does not select an object reports no objects.
     assert report_json(replace(answer, method=METHODS["albl"]))["objects"] is None
 
 
@@ -237,7 +237,7 @@ def test_an_estimate_without_a_pose_has_its_curve_only_and_one_of_nothing_no_pic
 
 @pytest.mark.parametrize(("t_d_s", "n_rows"), [(-1.7, 2), (0.0, 1)])
 def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
-    """At 0 there is no "before"; at -1.7 s the recordings overlap in part only."""
+    """At 0 there is no row for "before"; at -1.7 s the recordings overlap only in part."""
     search, epipolar = replace(result, answer=changed(result.answer, t_d_s=t_d_s)).plot().subfigs
     assert [len(part.axes) for part in (search, epipolar)] == [2, 2 * n_rows]
     assert all(axes.collections for axes in epipolar.axes)
@@ -250,7 +250,7 @@ def test_what_is_drawn_is_the_search_and_the_distance(result):
     assert np.array_equal(whole.lines[0].get_data(), (result.candidates_s, result.costs))
     near_ms, d_avg_px = zoom.lines[0].get_data()
     np.testing.assert_allclose(near_ms[[0, -1]], [-1e3 * plots.ZOOM_S, 1e3 * plots.ZOOM_S])
-    # The estimate is of tangents, the curve of means: on these random pixels 1 ms apart or so.
+    # Tangents give the estimate, means the curve: on these random pixels they differ by some 1 ms.
     assert abs(near_ms[np.argmin(d_avg_px)]) < 2.0
     plots.draw_epipolar(epipolar, result.answer)
     assert len(epipolar.axes) == 4
@@ -286,7 +286,7 @@ BOTH = (0, 1)
 
 @pytest.fixture(scope="module")
 def drawn(result):
-    """What the player draws of both cameras."""
+    """The streams of both cameras that the page's player draws."""
     return laid_out(result.answer)
 
 
@@ -295,14 +295,14 @@ def laid_out(answer):
 
 
 def unpacked(text, dtype):
-    """Numbers as the player reads them."""
+    """Decode an array of numbers (n,) as the player does."""
     planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
     size = np.dtype(dtype).itemsize
     return np.ascontiguousarray(planes.reshape(size, -1).T).view(dtype).ravel()
 
 
 def events_of(view):
-    """Frames, x, y [px] and polarities (n,) of a view."""
+    """Return the frames, x, y [px] and polarities, each (n,), of a view's events."""
     counts, steps = unpacked(view["counts"], "<u4"), unpacked(view["events"], "<u4")
     cells = np.concatenate(
         [np.cumsum(part >> 1) for part in np.split(steps, np.cumsum(counts)[:-1])]
@@ -342,14 +342,14 @@ def test_the_page_says_what_the_terminal_says_of_length_and_skew(result):
 
 
 def test_a_charts_numbers_and_images_stand_as_they_were_drawn(result):
-    """Bug: ticks at a quarter lost their last digit, and the image of all events was too small."""
+    """Bug: the tick 0.25 lost its last digit, and the image of all events was too small."""
     charts = []
     with pair_charts._chart(charts, "", "") as axes:
         axes.plot([0.0, 1.0], [0.0, 1 / 3])
         axes.set_yticks([0.25, 0.75])
     svg = unquote(charts[0].svg)
     assert all(f">{tick}</text>" in svg for tick in (0.25, 0.75))
-    assert not re.search(r' d="[^"]*\.\d\d', svg)  # paths are short
+    assert not re.search(r' d="[^"]*\.\d\d', svg)  # coordinates have one decimal at most
     image = unquote(sample_charts(seen_by({BOTH: result.answer}), 100)[-1].svg)
     assert re.search(r"matrix\(\d\.\d{3}", image)
 
@@ -399,7 +399,7 @@ def test_a_camera_that_saw_nothing_has_a_page(recorded, tmp_path):
     result = ssac.sync(recorded / "cam1.h5", tmp_path / "cam2.h5", recorded / "rig.yaml")
     assert not result.has_offset
     check_page(result.report(tmp_path / "page.html").read_text(encoding="utf-8"))
-    # All events are shown, those that denoising took away too.
+    # All events are shown, also those that denoising removed.
     frames, *_ = events_of(laid_out(result.answer)["views"][1])
     assert len(frames) == len(events[::400])  # so few that no two share a pixel of a frame
 
@@ -436,7 +436,7 @@ def test_events_of_a_distorted_lens_stand_where_a_straight_one_has_them(result):
     measured = distort_points(camera, np.column_stack([x, y]).astype(float))
     events = result.answer.cleans[0].events
     hit = np.zeros((HEIGHT + 2, WIDTH + 2), bool)
-    for dx, dy in np.ndindex(3, 3):  # a cell's middle is up to a pixel off its event
+    for dx, dy in np.ndindex(3, 3):  # a cell's centre is up to a pixel from its event
         hit[events["y"] + dy, events["x"] + dx] = True
     places = np.rint(measured).astype(int) + 1
     assert np.mean(hit[places[:, 1], places[:, 0]]) == 1.0
@@ -459,12 +459,12 @@ def test_the_path_is_seen_where_both_cameras_see_it(result):
     seen, _ = result.answer.paired.sharp_at(times_s, result.t_d_s)
     images = points @ K.T
     off_px = np.linalg.norm(images[:, :2] / images[:, 2:] - seen.positions_px, axis=1)
-    # Half of the distance between two rays, of positions some pixels off their lines.
+    # The path is midway between rays of positions that lie some pixels off their epipolar lines.
     assert np.nanmedian(off_px) < 2.0
 
 
 def test_the_spread_of_camera_2_is_that_of_the_pose(result):
-    """By draws from the covariance; 4000 of them give each deviation to 1 %."""
+    """The deviations are compared with those of 4000 draws, which are known to 1 %."""
     rng = np.random.default_rng(0)
     steps = rng.multivariate_normal(np.zeros(5), 1e-4 * result.covariance[1:, 1:], 4000)
     poses = [moved_pose(result.R, result.t, step) for step in steps]

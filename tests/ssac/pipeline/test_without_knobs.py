@@ -1,4 +1,4 @@
-"""What nobody set is found out: far and fast clocks, few events, and what is wrong with a rig."""
+"""Retries without any option: far or fast clocks, few events, noise, and a wrong rig."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ from tests.ssac.tracks import frame_track, frame_tracks
 T_D_S = 0.05
 PLAIN = Config()
 SCENE = make_scene(1, duration_s=8.0)
-UNSTATED = Camera(K, WIDTH, HEIGHT)  # whose deviations are those of a good calibration
+UNSTATED = Camera(K, WIDTH, HEIGHT)  # with the deviations of a good calibration
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +45,17 @@ def events():
 
 @pytest.fixture(scope="module")
 def right(events):
-    """What is found with the true rig."""
+    """The estimate with the true rig."""
     return ssac.sync(*events, [CAMERA, CAMERA]).estimate
 
 
 def camera_of(fu_px, fv_px, pu_px=K[0, 2], pv_px=K[1, 2]):
-    """Give a camera with nothing stated of its intrinsics."""
+    """Return a camera that states no deviations of its intrinsics."""
     return Camera(np.array([[fu_px, 0.0, pu_px], [0.0, fv_px, pv_px], K[2]]), WIDTH, HEIGHT)
 
 
 def longer(share):
-    """Give a camera with focal lengths that are longer by a share."""
+    """Return a camera whose focal lengths are longer by this share."""
     return camera_of(*(K[[0, 1], [0, 1]] * (1.0 + share)))
 
 
@@ -65,7 +65,7 @@ def longer(share):
         *((later_s, 0.0, 8.0) for later_s in (-4.0, 3600.0)),
         (0.0, 1000.0, 8.0),
         (42.0, 3000.0, 16.0),
-        (0.0, -2400.0, 5.0),  # 6 ms at both ends, with which a skew of 40 ppm fits unnoticed
+        (0.0, -2400.0, 5.0),  # 6 ms at both ends: a fit of only 40 ppm goes unnoticed
     ],
 )
 def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, skew_ppm, duration_s):
@@ -117,7 +117,7 @@ def test_few_events_are_enough_where_there_is_no_noise():
 )
 def test_no_wrong_focal_length_is_believed_and_a_large_error_is_named(events, share, said):
     result = ssac.sync(*events, [longer(share), UNSTATED])
-    if result.status == Status.OK:  # as of a calibration that is less certain
+    if result.status == Status.OK:  # with larger deviations of the calibration
         assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
     assert said in result.note
 
@@ -126,7 +126,7 @@ def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     result = ssac.sync(*events, [longer(0.6), UNSTATED])
     assert result.status == Status.DEGENERATE_POSE
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s < 1e-3
-    assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to a few
+    assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to within a few
 
 
 def test_exchanged_intrinsics_are_named_beside_the_offset():
@@ -168,11 +168,11 @@ def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, state
     more_px = np.diff(stds_px, axis=0)
     assert np.all(more_px >= 0.0)
     assert np.all(more_px[:, 0].any(axis=-1))
-    if n:  # as carelessly known, at least
+    if n:  # at least the deviations of a careless calibration
         assert np.all(np.array(stds_px[1][1]) >= [6.0, 6.0, 10.0, 10.0])
 
 
-@pytest.mark.parametrize("seed", [0, 1])  # of which the first finds its offset at a bound
+@pytest.mark.parametrize("seed", [0, 1])  # the first finds its offset at a bound
 def test_what_is_too_short_is_to_be_recorded_longer(seed):
     brief = make_events(make_scene(seed, duration_s=0.5), seed, T_D_S)
     assert "record longer" in ssac.sync(*brief, [CAMERA, CAMERA]).estimate.reason
@@ -191,7 +191,7 @@ def test_focal_lengths_that_are_no_camera_s_are_refused(events, focal):
 
 
 def test_a_principal_point_outside_of_the_image_is_told(events):
-    few = [one[:100] for one in events]  # enough for what only looks at the rig
+    few = [one[:100] for one in events]  # the note depends on the rig alone
     note = ssac.sync(*few, [camera_of(200.0, 200.0, 473.0), UNSTATED]).note
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
 
@@ -236,7 +236,7 @@ def other_ways(found, seen, asked=PLAIN, method="joint"):
         (Status.POOR_FIT, 0.1, 1, PLAIN, True, True),
         (Status.DEGENERATE_POSE, 0.1, 1, PLAIN, True, False),
         (Status.TOO_FEW_SAMPLES, 0.0, 1, PLAIN, True, False),
-        (Status.TOO_FEW_SAMPLES, 0.0, 2, PLAIN, True, True),  # each is lost
+        (Status.TOO_FEW_SAMPLES, 0.0, 2, PLAIN, True, True),  # both are lost
         (Status.SEVERAL_OBJECTS, 0.0, 1, PLAIN, True, True),
         (Status.AMBIGUOUS_OFFSET, 0.0, 1, PLAIN, True, False),
         (Status.POOR_FIT, 0.0, 1, PLAIN, False, False),
@@ -253,20 +253,20 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     ways = other_ways(found, seen, asked)
     fewer = [way for way in ways if way.n_neighbours == 3 and way.n_min == 8]
     assert bool(fewer) is is_tried
-    # Of several objects in noise one is told by less filtering and a closer look together.
+    # To single out one of several objects in noise takes less filtering and a closer look together.
     closer = asked.rules.retry.closer
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
-    if status == Status.AMBIGUOUS_OFFSET:  # a valley without an end is not told by more of it
+    if status == Status.AMBIGUOUS_OFFSET:  # more events do not narrow one long valley
         alone = other_ways(replace(found, alternatives_s=np.empty(0)), seen)
         assert not any(way.n_min for way in alone)
 
 
 @pytest.mark.parametrize("status", ["ambiguous_offset", "degenerate_pose", "poor_fit"])
 def test_outlines_are_seen_over_longer_windows_too_and_means_are_not(events, status):
-    """Where offsets tie, means may be led to a wrong one, as `joint` was on circles and helices."""
+    """If offsets tie, means may prefer a wrong one, as `joint` did on circles and helices."""
     seen = tuple(denoised(one) for one in events)
     for method, is_tried in (("tangency", True), ("joint", False)):
-        found = Estimate(method, Status(status), "why", t_d_std_s=1e-4)  # else it is vague, too
+        found = Estimate(method, Status(status), "why", t_d_std_s=1e-4)  # else t_d is vague, too
         ways = other_ways(found, seen, method=method)
         assert any(way.half_window_s == 0.04 for way in ways) is is_tried
 
@@ -285,7 +285,7 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
     assert_allclose(given, times * np.array([joint.t_d_std_s, joint.skew_std_ppm, joint.r_std_deg]))
     said = "outline fits poorly, and deviations are 2 times as wide: this is the answer of joint"
     assert said in result.to_dict()["note"]
-    poor["status"] = Status.CLOCK_JUMP  # which tangents tell more surely than their start
+    poor["status"] = Status.CLOCK_JUMP  # tangents tell a jump more surely than their start does
     assert ssac.sync(*recorded.pair, recorded / "rig.yaml").status == Status.CLOCK_JUMP
 
 

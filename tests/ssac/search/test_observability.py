@@ -1,4 +1,4 @@
-"""What estimates are judged by: swings, valleys, straightness, and the covariance's directions."""
+"""What is observable: swings, valleys of the cost, straight paths, and a determined F."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ OFFSETS_S = np.arange(-1.0, 1.0, 0.001)
 
 
 def events_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0):
-    """A blob of events of this size on a path, at 25 000 events a second."""
+    """Return the events of a blob of this size along a path, at 25 000 events a second."""
     rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, duration_s, round(25_000 * duration_s)))
     n = len(times_s)
@@ -71,7 +71,7 @@ def test_rest_is_measured_in_sizes_of_the_object():
         for reach, rests in ((0.5, True), (2.0, False)):  # rms of x and y together is the reach
             both = (wave(0.7, phase, reach_px=reach * size_px) for phase in (0.0, 1.5))
             view = view_of(motion_along(*both, size_px=size_px), RULES.view)
-            # The rms size is over both axes, 2**0.5 times the deviation of one.
+            # The object's rms size is over both axes: 2**0.5 times the deviation of one.
             assert (at_rest((view, view), SEARCH) is not None) == rests
 
 
@@ -133,26 +133,26 @@ def test_the_search_finds_rivals_between_its_coarse_steps(rival_s):
 
 
 def returning(*path, longest_s=2.0):
-    """Lags after which a path is back on itself."""
+    """Return the lags [s] after which a path repeats itself."""
     motion = motion_along(*path)
     return returns_s(motion, view_of(motion, RULES.view), longest_s, RULES.view)
 
 
 def test_a_path_that_repeats_itself_returns_after_whole_periods():
-    def path(times_s):  # 0.8 s, with the second harmonic of a path that turns back
+    def path(times_s):  # of period 0.8 s, with its second harmonic
         return 130 + 40 * np.sin(2 * np.pi * times_s / 0.8) + 30 * np.cos(5 * np.pi * times_s)
 
-    # Of even steps of 2 ms, and of windows that hold other events.
+    # The tolerance is two steps of 2 ms, as the windows hold other events a period later.
     np.testing.assert_allclose(returning(path, wave(1.25, 0.4)), [0.8, 1.6], atol=0.004)
     assert len(returning(path, wave(1.25, 0.4), longest_s=0.5)) == 0
-    assert len(returning(wave(0.31), wave(0.19, 1.0))) == 0  # 100 s until both are back
+    assert len(returning(wave(0.31), wave(0.19, 1.0))) == 0  # their common period is 100 s
     for drift_px_s, returns in ((7.0, True), (21.0, False)):
 
         def drifting(times_s, drift_px_s=drift_px_s):
             return wave(1.25)(times_s) + drift_px_s * (times_s - 4.0)
 
-        # After 0.8 s it is 6 or 17 px from where it was, of an extent of 62 to 78 px: a tenth, or
-        # over a fifth.
+        # In 0.8 s the path drifts by 6 or 17 px, and its extent is 62 to 78 px. So it misses itself
+        # by a tenth or by over a fifth, the limit.
         assert bool(len(returning(drifting, wave(1.25, 0.4), longest_s=1.0))) == returns
 
 
@@ -170,21 +170,21 @@ def test_straight_is_narrow_beside_its_length_and_beside_the_object():
 
 
 def flat(scene: Scene) -> Scene:
-    """The same with a path in a plane."""
+    """Return the scene with its path projected into a plane."""
     into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
     return replace(scene, path=lambda t: scene.path(t) @ into_plane + [0.0, 0.0, 5.0])
 
 
 @pytest.mark.parametrize(("seed", "noise_px"), [(0, 0.3), *((seed, 0.0) for seed in range(6))])
 def test_a_planar_path_leaves_the_fundamental_matrix_open_with_noise_and_without(seed, noise_px):
-    """Bug: a least eigenvalue of zero, which rounding may make negative, was taken for no F."""
+    """Bug: a least eigenvalue of zero, which rounding may make negative, was taken as no F."""
     scene, times_s, rng = make_scene(seed), np.linspace(0.2, 19.0, 300), np.random.default_rng(1)
     free, planar = (
         [p + rng.normal(0.0, noise_px, p.shape) for p in track_pair(one, times_s)]
         for one in (scene, flat(scene))
     )
     assert second_best(*free) > 14.0
-    # A family of two parameters fits alike; what differs is how noise falls on its members.
+    # All of a two-parameter family of F fit alike; only noise makes one fit better than another.
     assert second_best(*planar) < 7.0
     assert open_fundamental(*free, SEARCH) is None
     assert open_fundamental(*planar, SEARCH).status == "degenerate_pose"
@@ -193,12 +193,12 @@ def test_a_planar_path_leaves_the_fundamental_matrix_open_with_noise_and_without
 @pytest.mark.parametrize(
     ("n", "at_px"),
     [
-        (40, ([100.0, 100.0], [100.0, 100.0])),  # the fit divided by zero
-        (15, ([181.75, 111.0], [161.7, 146.4])),  # by their mean's rounding weights were infinite
+        (40, ([100.0, 100.0], [100.0, 100.0])),  # here the fit divided by zero
+        (15, ([181.75, 111.0], [161.7, 146.4])),  # rounding of the mean made weights infinite
     ],
 )
 def test_points_at_rest_allow_no_fundamental_matrix(n, at_px):
-    """Bug: the eigenvalues were refused."""
+    """Bug: the eigenvalue solver raised an error."""
     pair = [np.tile(point, (n, 1)) for point in at_px]
     assert np.isnan(lmeds_fundamental(*pair, trials=50)).all()
     assert np.isnan(reweighted_fundamental(*pair)).all()

@@ -1,4 +1,4 @@
-"""The search for an offset: pairs of two views, cost curves in closed form, and all offsets."""
+"""The search for an offset: pairs of two views, analytic cost curves, and all offsets."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def views():
 
 
 def test_pairs_obey_the_sign_convention(views):
-    views = replace(views, config=Config(n_min=300))  # of which some windows hold fewer
+    views = replace(views, config=Config(n_min=300))  # some windows hold fewer events
     views = replace(views, motion1=replace(views.motion1, n_min=900))
     pairs, one = views.pairs(np.array([-0.1, T_D_S])), views.pairs_at(T_D_S)
     for m, t_d_s in enumerate((-0.1, T_D_S)):
@@ -40,7 +40,7 @@ def test_pairs_obey_the_sign_convention(views):
         assert np.array_equal(pairs.p1_px[m], track1.positions_px, True)
         assert np.array_equal(pairs.p2_px[m], track2.positions_px, True)
         assert np.array_equal(pairs.valid[m], track1.valid & track2.valid)
-    # Those at one offset are the valid ones of that offset.
+    # `pairs_at` returns the valid pairs of its offset.
     assert 0 < len(one) < len(pairs.times_s[1])
     assert np.array_equal(one.times_s, pairs.times_s[1, pairs.valid[1]])
     for ours, theirs in zip(one.points_px, pairs.valid_positions(1), strict=True):
@@ -66,7 +66,7 @@ def searched(cost, offsets_s=OFFSETS_S, coarsest=20, returns_s=None):
 
 
 def rounded_v(centre_s, widest_px=13.0):
-    """1.3 px per 10 ms out to 100 ms around the centre, then a plateau: the paper's Fig. 5."""
+    """A V of 1.3 px per 10 ms within 100 ms of the centre, then a plateau: the paper's Fig. 5."""
 
     def cost(t_d_s):
         distance_s = np.abs(t_d_s - centre_s)
@@ -79,7 +79,7 @@ def rounded_v(centre_s, widest_px=13.0):
     ("cost", "least_s"),
     [
         *((rounded_v(centre_s), centre_s) for centre_s in (-0.4321, 0.0, 0.00037, 0.777)),
-        # Of one side that ends 10 ms off: a parabola to 20 ms, not 6, is drawn to the flat side.
+        # One side of the V ends 10 ms off: a parabola over 20 ms, not 6, is drawn to the flat side.
         (lambda t_d_s: np.where(t_d_s > 0.21, 1.4, rounded_v(0.2)(t_d_s)), 0.2),
         (lambda t_d_s: np.where(t_d_s < 0.0, np.nan, rounded_v(0.2)(t_d_s)), 0.2),
     ],
@@ -87,7 +87,7 @@ def rounded_v(centre_s, widest_px=13.0):
 def test_the_minimum_is_found_between_candidates_of_which_a_tenth_are_tried(cost, least_s):
     every, some = offset_search.exhaustive_search(cost, OFFSETS_S), searched(cost)
     for search in (every, some):
-        # A parabola through 12 points of another curve: 3 us; 10 us is the resolution promised.
+        # A parabola through 12 points of another curve errs by 3 us; the resolution is 10 us.
         assert search.t_d_s == pytest.approx(least_s, abs=5e-6)
         assert not search.at_bound
         assert np.array_equal(search.d_avg_px, cost(search.candidates_s), equal_nan=True)
@@ -105,7 +105,7 @@ def test_a_minimum_outside_the_interval_is_at_its_bound_and_none_is_nowhere():
 @pytest.mark.parametrize("n", [1, 2, 3, 8])
 @pytest.mark.parametrize("coarsest", [5, 7, 13, 20])
 def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
-    """Bug: no step from the coarse minimum reached another candidate, and the search fell over."""
+    """Bug: no step from the coarse minimum reached another candidate, and the search crashed."""
     offsets_s = 0.2 + 0.001 * np.arange(n)
     search = searched(rounded_v(0.2), offsets_s, coarsest)
     assert search.t_d_s == offset_search.exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
@@ -113,7 +113,7 @@ def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
 
 
 def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
-    """Bug: it fell over where a path repeats itself, and too few samples are valid a lag away."""
+    """Bug: the search crashed if too few samples are valid one lag of a repeating path away."""
     valley = rounded_v(0.2)
     found = searched(lambda t: np.where(t > 0.45, np.nan, valley(t)), returns_s=np.array([0.4]))
     assert found.t_d_s == pytest.approx(0.2, abs=5e-6)
@@ -125,7 +125,7 @@ def test_candidates_keep_half_of_the_longest_overlap(views):
         offset_search.candidate_offsets(replace(views, config=Config(interval_s=interval_s)))
         for interval_s in ((-10.0, 10.0), (20.0, 30.0))
     )
-    # The overlap is 4 s at 0.25 s and falls to 2 s at 2 s on either side.
+    # The overlap is 4 s at the offset 0.25 s, and 2 s at offsets 2 s away on either side.
     assert near[[0, -1]] == pytest.approx([-1.75, 2.25], abs=0.002)
     assert len(far) == 0
 
@@ -159,14 +159,14 @@ def test_any_offset_is_found_among_all_and_no_other_comes_near(offset_s):
     assert all(one.cost > OF_ALL.rival * best.cost for one in found.guesses[1:])
     np.testing.assert_allclose(np.diff(found.candidates_s), found.step_s, rtol=1e-6)
     tried_s = found.candidates_s[np.isfinite(found.costs)]
-    # Half of the flight is left.
+    # Offsets are tried until half of the flight overlaps.
     assert tried_s[0] < offset_s - 10.0 < offset_s + 10.0 < tried_s[-1]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
 
 
 def views_with_jump(at_s, size_s, last_s=(np.inf, np.inf), other=1):
-    """Two tracks of 20 s, of which camera 2's clock jumps at a time of camera 1's."""
+    """Return views of two 20 s tracks; camera 2's clock jumps at `at_s` of camera 1's clock."""
     views = []
     for k, (seed, end_s) in enumerate(zip((1, other), last_s, strict=True)):
         track = frame_tracks(make_scene(seed), T_D_S)[k]
@@ -195,7 +195,7 @@ def test_no_jump_is_found_of_one_offset_nor_of_different_objects():
 
 
 def test_a_camera_without_a_path_tells_nothing():
-    """Bug: no event left of a camera gave an infinite number of steps."""
+    """Bug: a camera without any event gave an infinite number of steps."""
     one, _ = motions(0.0)
     at_rest = of_points(PointTrack(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)))
     for nothing in (at_rest, *(object_motion(np.zeros(n, EVENT_DTYPE), CAMERA) for n in (0, 1))):
@@ -204,7 +204,7 @@ def test_a_camera_without_a_path_tells_nothing():
 
 
 def gappy(scene, camera):
-    """Three flights of 8 s in a recording of twenty minutes."""
+    """Return the motion of three flights of 8 s in a recording of twenty minutes."""
     track = frame_track(scene, camera, 30.0, seed=camera)
     kept = track.times_s % 10.0 < 8.0
     late_s = 600.0 * (track.times_s[kept] // 10.0)

@@ -1,4 +1,4 @@
-"""Several things before two cameras: the object that both saw is chosen, or none is."""
+"""Several things in view: the object that all cameras saw is chosen, or none is."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from tests.ssac.tracks import frame_track
 RIG = Rig(CAMERA, CAMERA)
 RULES = Rules()
 NEAR = (-1.0, 1.0)  # offsets searched
-NEAR_S = 3e-4  # an answer so near is right, whatever its deviation
+NEAR_S = 3e-4  # an error of up to this is right, whatever the deviation
 
 
 def seen(*streams):
@@ -33,14 +33,14 @@ def crowd(ones, others):
 
 def assert_right(found, scene):
     assert found.status == Status.OK, found.reason
-    # 0.15 ms, 0.2 deg on average for such clouds of 16 px, in the half that is left of 8 s.
+    # The mean errors are 0.15 ms and 0.2 deg for clouds of 16 px in the 4 of 8 s that are kept.
     assert abs(found.t_d_s - T_D_S) < max(3.5 * found.t_d_std_s, NEAR_S)
     assert rotation_angle_deg(found.R, scene.R) < max(3.5 * found.r_std_deg, 0.5)
 
 
 @pytest.fixture(scope="module")
 def two_flights():
-    """Two cameras that see both flights; which is which; what is left, and why none is."""
+    """Return two cameras that see both flights, the flight of each event, and the choice."""
     cameras, things = crowd(flight(4), flight(5))
     return cameras, things, one_object(cameras, RULES, NEAR)
 
@@ -58,10 +58,10 @@ def test_one_thing_passes_as_it_is():
 @pytest.mark.parametrize(
     ("others", "n_seen", "most_of_other"),
     [
-        # At an instant it is the one or the other: both bear out one geometry.
+        # Either flight may be kept at an instant, as both support the same geometry.
         (None, [2, 2], 1.0),
         (lambda: flight(5, 0.1), [2, 2], 1.0),
-        # Times that both things share are a few.
+        # Only a few of the times that are kept hold both things.
         (lambda: (flight(5)[0], flight(6)[1]), [2, 2], 0.1),
         (lambda: (branches(1), branches(2)), [5, 4], 0.1),
     ],
@@ -76,7 +76,7 @@ def test_other_things_are_left_out(others, n_seen, most_of_other, two_flights):
     assert [left.used.seen for left in found] == n_seen
     for camera, left, thing in zip(cameras, found, things, strict=True):
         assert left.used.share == len(left.events) / len(camera.events)
-        # No event that is left lies in a gap.
+        # No event that is kept lies in a gap.
         times_us = left.events["t"]
         at = np.searchsorted(left.gaps_us[:, 1], times_us, side="right")
         assert np.all(times_us < left.gaps_us[at, 0])
@@ -95,7 +95,7 @@ def test_a_clock_that_shows_more_changes_nothing(two_flights):
     late, _ = one_object([cam1, cam2.delayed(1e-6 * later_us)], RULES, shifted)
     assert np.array_equal(late[0].events, plain[0].events)
     assert np.array_equal(late[1].events["t"] - later_us, plain[1].events["t"])
-    # But for those before and after all times.
+    # The first and the last bound stand for all earlier and later times, so they do not move.
     moved_us = plain[1].delayed(1e-6 * later_us).gaps_us
     assert np.array_equal(late[1].gaps_us.ravel()[1:-1], moved_us.ravel()[1:-1])
 
@@ -122,13 +122,13 @@ def third_camera(one_seed, other_seed):
 
 
 def test_three_cameras_keep_one_flight(two_flights):
-    """Bug: each pair chose for itself, so that a camera's two pairs were of different flights."""
+    """Bug: each pair chose on its own, so that a camera's two pairs were of different flights."""
     cameras, things, _ = two_flights
     third, thing = third_camera(4, 5)
     found, refusal = one_object([*cameras, *seen(third)], RULES, NEAR)
     assert refusal is None
     recorded = (*(camera.events for camera in cameras), third)
-    is_second = []  # by tenths of a second of camera 1's clock; NaN: hardly any event is left
+    is_second = []  # in tenths of a second of camera 1's clock; NaN where few events are kept
     for left, events, which, t_d_us in zip(
         found, recorded, (*things, thing), (0, 50_000, 50_000), strict=True
     ):
@@ -140,7 +140,7 @@ def test_three_cameras_keep_one_flight(two_flights):
         is_second.append(np.where(n < 200, np.nan, share > 0.5))
     by_all = np.isfinite(is_second).all(axis=0)
     assert np.count_nonzero(by_all) > 50
-    # Where one camera loses a thing before another does, a tenth of a second may be of both.
+    # If one camera loses a thing before another does, a tenth of a second may hold both.
     assert np.mean(np.ptp(np.array(is_second)[:, by_all], axis=0)) < 0.05
 
 
@@ -153,7 +153,7 @@ def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, m
         assert (found.method, found.status) == (method, Status.SEVERAL_OBJECTS)
         assert "none of the 2 things that camera 3 sees" in found.reason
         assert not found.has_offset
-    # What is the paper's is left as it is.
+    # A method of the paper gets all events.
     assert chain.estimate("albl", 0, 2).status != Status.SEVERAL_OBJECTS
     assert len(chain.answer("joint", 0, 2).cleans[1].events) == 0
     assert_right(chain.estimate("joint"), make_scene(4))

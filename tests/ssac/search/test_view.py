@@ -1,4 +1,4 @@
-"""What cameras do to views: when events are lost to frames, and rows are read out one by one."""
+"""Blind spans, in which events are lost to frame readouts, and rolling shutters."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def blind_spans(times_us):
 
 
 def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):
-    """Times [us] of an object that swings: events come by its speed, and none where it turns."""
+    """Times [us] of a swinging object's events, whose rate is proportional to its speed."""
     rng = np.random.default_rng(seed)
     times_us = np.sort(rng.integers(0, DURATION_US, int(rate_hz * 1e-6 * DURATION_US)))
     speed = np.abs(np.cos(2.0 * np.pi * swing_hz * 1e-6 * times_us))
@@ -31,7 +31,7 @@ def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):
 
 
 def without_frames(times_us, rate_hz, gap_us, phase_us=3_000):
-    """Lose the events of each readout, and say when these begin."""
+    """Remove the events during each readout; return the others and the readouts' starts [us]."""
     starts_us = np.arange(phase_us, DURATION_US, 1e6 / rate_hz)
     since_us = times_us - starts_us[np.searchsorted(starts_us[1:], times_us, side="right")]
     return times_us[(since_us < 0.0) | (since_us >= gap_us)], starts_us
@@ -47,10 +47,10 @@ def assert_found(times_us, starts_us, rate_hz, gap_us, within_us):
     spans_us = blind_spans(times_us)
     periods_us = np.diff(spans_us[:, 0])
     assert np.median(periods_us) == pytest.approx(1e6 / rate_hz, rel=1e-2)  # events are some us off
-    # Where the object is all but at rest at an end of the recording, nothing tells of one.
+    # A readout cannot be seen if the object is almost at rest at an end of the recording.
     assert len(starts_us) - 6 <= len(spans_us) <= len(starts_us)
     nearest = np.abs(spans_us[:, 0, None] - starts_us).min(axis=1)
-    # The last event before a readout is a few event times early; 0.5 ms are 25 at full speed.
+    # The last event is a few mean intervals before a readout; 0.5 ms are 25 at full speed.
     assert np.median(nearest) < 500.0
     assert np.median(np.diff(spans_us)) == pytest.approx(gap_us, abs=within_us)
 
@@ -61,14 +61,14 @@ def assert_found(times_us, starts_us, rate_hz, gap_us, within_us):
 )
 @pytest.mark.parametrize(("seed", "noise_hz"), [(0, 0), (1, 0), (7, 3_000), (7, 30_000)])
 def test_readouts_are_found_among_noise_too(rate_hz, gap_us, seed, noise_hz):
-    """A blind sensor has no noise either."""
+    """Noise events stop during a readout, too."""
     noise_us = np.random.default_rng(7).integers(0, DURATION_US, 6 * noise_hz)
     times_us = np.sort(np.append(busy_times(seed), noise_us))
     assert_found(*without_frames(times_us, rate_hz, gap_us), rate_hz, gap_us, 1_000.0)
 
 
 def test_readouts_are_found_among_silences_of_the_object_itself():
-    """Between volleys, one for each row of pixels that an edge crosses, it may be silent too."""
+    """The object may be silent between volleys, one for each row of pixels that an edge crosses."""
     times_us, starts_us = without_frames(busy_times(8), 25.0, 6_000)
     silent_us = np.random.default_rng(8).integers(0, DURATION_US, 70)  # half as many as readouts
     times_us = hidden(times_us, [(from_us, from_us + 3_500) for from_us in silent_us])
@@ -120,9 +120,9 @@ def test_readouts_are_found_beside_the_offset(seed, readouts_s):
     found = joint(*cameras, Rig(UNKNOWN, UNKNOWN), CONFIG)
     assert found.status == "ok"
     assert abs(found.t_d_s - T_D_S) < WIDE * found.t_d_std_s
-    assert found.t_d_std_s < 2e-3  # of two readouts unknown by 15 ms, of which half would be left
+    assert found.t_d_std_s < 2e-3  # two unknown readouts would add half of their 15 ms
     assert np.all(np.abs(found.readouts_s - readouts_s) < WIDE * found.readouts_std_s)
-    assert np.all(found.readouts_std_s < 0.5 * READOUT_STD_S)  # so the tracks tell, not the prior
+    assert np.all(found.readouts_std_s < 0.5 * READOUT_STD_S)  # told by the tracks, not the prior
     assert np.all(found.readouts_s >= 0.0)
     if max(readouts_s) > 0.0:
         plain = joint(*cameras, Rig(CAMERA, CAMERA), CONFIG)
@@ -131,7 +131,7 @@ def test_readouts_are_found_beside_the_offset(seed, readouts_s):
 
 
 def test_images_move_as_the_readout_says():
-    # A lens whose rows are up to some 10 px from the ideal ones: the shutter reads the former.
+    # The lens shifts rows by up to some 10 px, and the shutter reads distorted rows.
     distorted = {"distortion_model": "radtan", "distortion_coeffs": (-0.3, 0.1, 0.001, -0.001)}
     lens = replace(UNKNOWN, **distorted)
     views = two_views(*flight(2, (0.01, 0.02)), Rig(lens, lens), CONFIG)
@@ -147,18 +147,18 @@ def test_images_move_as_the_readout_says():
     read_out = shutters.views(views, readouts_s)
     moves = shutters.moves(read_out, times_s)
     for k, motion in enumerate((read_out.motion1, read_out.motion2)):
-        # A row is read out later by its share of the readout: that of the image as it is. Noise of
-        # 0.3 px is smoothed, and points 30 ms apart on a curve are a pixel off its chords.
+        # A row is read out later by its share of the readout, in the distorted image. Noise of
+        # 0.3 px is smoothed, and the path between points 30 ms apart is a pixel off its chord.
         rows = np.interp(times_s[k], motion.times_s, motion.rows)
         moved = -rows[:, None] * motion.sharp_at(times_s[k]).velocities_px_s
         off = np.linalg.norm(moves[k][k] - moved, axis=1) / np.linalg.norm(moved, axis=1)
-        assert np.nanmedian(off) < 2e-3  # 0.01 of ideal rows
+        assert np.nanmedian(off) < 2e-3  # undistorted rows would give 0.01
     for k, by_readout in enumerate(moves):
         step = step_s * np.eye(2)[k]
         numeric = (positions(readouts_s + step) - positions(readouts_s - step)) / (2.0 * step_s)
         errors = np.linalg.norm(np.stack(by_readout) - numeric, axis=2)
-        # Windows are of whole points, which enter and leave: the curve through noise of 0.3 px has
-        # velocities to some 10 px/s, of 200.
+        # Points enter and leave the windows, so that noise of 0.3 px changes the velocities, which
+        # are about 200 px/s, by some 10 px/s.
         assert np.nanmedian(errors) < 10.0
         assert np.nanmedian(np.linalg.norm(numeric[k], axis=1)) > 50.0
         assert np.all(by_readout[1 - k] == 0.0)

@@ -1,4 +1,4 @@
-"""What fires by itself is masked, what fires alone is removed, and a faint object is followed."""
+"""Pixels that fire by themselves are masked, lone events removed, faint objects followed."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def pixels(*squares):
 
 
 def blob(path, n=60_000, deviation_px=1.8, duration_us=LONG_US):
-    """Events of something whose middle is at path(t) of times [s] -> (x, y) [px]."""
+    """Events normally distributed about path(times [s]) -> (x, y) [px]."""
     rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, 1e-6 * duration_us, n))
     points_px = np.stack(path(times_s), axis=-1) + rng.normal(0.0, deviation_px, (n, 2))
@@ -47,7 +47,7 @@ def flight(t_s):
 
 
 def hover(t_s):
-    """Three seconds at one place, within 1.5 px of it, and away in between."""
+    """Stay within 1.5 px of one place for half of each 3 s, and go away in between."""
     away = np.clip(np.abs((t_s % 3.0) - 1.5) - 0.75, 0.0, None)
     return 48 + 60 * away + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)
 
@@ -120,11 +120,11 @@ def test_a_bar_that_stands_and_flickers_stays():
 
 @pytest.mark.parametrize("hz", [0.2, 1.0, 10.0])
 def test_the_background_is_that_of_ordinary_pixels(hz):
-    start = noise(WIDTH, HEIGHT, 1000.0, 20_000)  # every pixel again and again, at first
+    start = noise(WIDTH, HEIGHT, 1000.0, 20_000)  # at first, every pixel fires again and again
     parts = blob(flight), lamp(3, 60, 12, LONG_US), noise(WIDTH, HEIGHT, hz, LONG_US), start
     found = activity(merged(*parts), WIDTH, HEIGHT, RULES)
-    # The middle of the object's and the lamp's squares with the others: 7 of 30 squares, a quarter
-    # of the deviation; and a Poisson number's median is 1/3 below its mean, at 0.2 Hz 1/3 of 5.
+    # The object and the lamp fill 7 of 30 squares, which shifts the middle of all by a quarter of
+    # the deviation; and a Poisson number's median is 1/3 below its mean: at 0.2 Hz, 1/3 of 5.
     of_square = hz * 25.6
     assert found.background_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
 
@@ -137,7 +137,7 @@ def random_events(n, duration_us, seed=0, first_us=0):
 
 
 def bursts(gap_us):
-    """Bursts of very unlike density: what is left of one must not count in the next."""
+    """Bursts of very unlike density: events of one must not count in the next."""
     parts, first_us = [], 0
     for n, duration_us in ((9000, 12_000), (40, 3000), (12_000, 5000), (3000, 30_000)):
         parts.append(random_events(n, duration_us, n, first_us))
@@ -193,8 +193,8 @@ def test_noise_alone_leaves_at_most_an_event_in_a_window():
     for hz in (0.2, 2.0, 10.0):
         n = least_neighbours(hz, 64 * 48, RULES.ball_px, 1000, RULES)
         left = radius_filter(noise(64, 48, hz, 20_000_000), n_neighbours=n)
-        # One in each of the 500 windows is the limit, and Poisson's deviation of 500 is 22; the
-        # events of one ball are kept together, so three times that.
+        # The limit is one in each of 500 windows, with a Poisson deviation of 22; the events of
+        # one ball are kept together, so three deviations are allowed.
         assert len(left) < 500 + 3 * 22
         assert n >= RULES.least_neighbours
         assert least_neighbours(hz, 64 * 48, RULES.ball_px, 6, RULES) <= 6
@@ -207,7 +207,7 @@ def small(n):
 @pytest.mark.parametrize(
     ("rate_hz", "noise_hz", "ball"),
     [
-        # Thin; dense, as of the paper; in much noise.
+        # A thin object; a dense one, as in the paper; one in much noise.
         (1_500, 0.1, (RULES.ball_px, RULES.least_neighbours, RULES.least_n_min)),
         (20_000, 0.1, (RULES.ball_px, RULES.ball_neighbours, N_MIN)),
         (20_000, 10.0, (RULES.near_ball_px, RULES.near_ball_neighbours, N_MIN)),
@@ -240,12 +240,12 @@ FAINT = FaintRules()
 
 
 def path_px(times_s):
-    """Turn at up to 25 px/s^2, as a drone some 35 m away."""
+    """Positions of a drone some 35 m away, whose image accelerates by up to 25 px/s^2."""
     return np.stack([60.0 + 40.0 * np.sin(0.5 * times_s), 45.0 + 25.0 * np.cos(times_s)], axis=-1)
 
 
 def recorded(weak_hz, seed=0, last_s=DURATION_S):
-    """All events, those that are sure, and those of the object; weak in the gap, till the last."""
+    """All events, the sure ones and the object's, which is weak in the gap and ends at `last_s`."""
     rng = np.random.default_rng(seed)
 
     def seen(start_s, end_s, rate_hz):
@@ -259,7 +259,7 @@ def recorded(weak_hz, seed=0, last_s=DURATION_S):
 
 
 def followed(events, sure):
-    """What is found, and the middles [s] of its bins."""
+    """The path found, and the middles [s] of its bins."""
     found = follow(events, sure, *SIZE, FAINT)
     bins = np.arange(len(found.seen)) + 0.5
     return found, 1e-6 * (found.start_us + FAINT.bin_us * bins)
@@ -272,10 +272,10 @@ def test_a_weak_object_is_followed_through_a_gap(seed):
     in_gap = (middles_s > GAP_S[0]) & (middles_s < GAP_S[1])
     assert found.seen[in_gap].mean() > 0.98
     errors_px = np.linalg.norm(found.positions_px - path_px(middles_s), axis=1)
-    assert np.max(errors_px[in_gap]) < 2.0  # 4 deviations of 0.5 px: 2 px by 15 events in 1/8 s
+    assert np.max(errors_px[in_gap]) < 2.0  # 4 deviations of 0.5 px: 15 events of 2 px in 1/8 s
     of_gap = (ours["t"] > 1e6 * GAP_S[0]) & (ours["t"] < 1e6 * GAP_S[1])
     assert found.seen[(found.events["t"] - found.start_us) // FAINT.bin_us].all()
-    # 4 % of a normal image lie outside of the corridor; noise of 15 events/s lies within it.
+    # Of a normal distribution, 4 % lie outside the corridor; noise of 15 events/s lies within.
     n = np.count_nonzero((found.events["t"] > 5e6) & (found.events["t"] < 8e6))
     assert 0.85 < n / np.count_nonzero(of_gap) < 1.25
 
@@ -287,13 +287,13 @@ def test_noise_alone_is_not_followed():
     assert not found.seen[in_gap].any()
     assert found.seen[middles_s < GAP_S[0]].mean() > 0.98
     events, sure, _ = recorded(120.0)
-    for few in (sure[:0], sure[:10]):  # too few for a size
+    for few in (sure[:0], sure[:10]):  # too few to give a size
         assert follow(events, few, *SIZE, FAINT) is None
 
 
 def test_a_path_that_leads_to_no_sure_place_is_kept_for_half_a_second():
     found, middles_s = followed(*recorded(120.0, last_s=GAP_S[1])[:2])
-    # The object is sure until 0.1 s after the gap begins, by the events before.
+    # Events before the gap keep the object sure until 0.1 s after the gap begins.
     assert GAP_S[0] + 0.4 < middles_s[found.seen].max() < GAP_S[0] + 0.65
 
 
@@ -316,10 +316,10 @@ def test_the_path_is_as_uncertain_in_a_gap_as_a_random_acceleration_makes_it():
     positions, velocities, found = smoothed_path(
         line, variances, step_s, density, FAINT.max_speed_variance
     )
-    np.testing.assert_allclose(positions, line, atol=1e-3)  # by the prior of 0 +- 1000 px
+    np.testing.assert_allclose(positions, line, atol=1e-3)  # the prior is 0 +- 1000 px
     np.testing.assert_allclose(velocities, 7.0, atol=1e-1)
-    # Between two known positions and velocities: density T^3 / 192, T one bin longer than the gap;
-    # the ends' velocities are known to some 0.7 px/s, of 20 px/s that the acceleration makes.
+    # Half-way between two known positions and velocities, the variance is density T^3 / 192, with T
+    # one bin longer than the gap. The velocities are known to some 0.7 px/s; acceleration adds 20.
     expected = density * ((gap + 1) * step_s) ** 3 / 192.0
     assert found[middle] == pytest.approx(expected, rel=0.1)
 
@@ -343,7 +343,7 @@ def test_a_faint_object_has_a_track_where_it_is_weak(tmp_path):
     weak = (found.times_s > GAP_S[0]) & (found.times_s < GAP_S[1])
     assert np.count_nonzero(weak) > 0.9 * 100 * (GAP_S[1] - GAP_S[0])  # a point each 10 ms
     errors_px = np.linalg.norm(found.points_px - path_px(found.times_s), axis=1)
-    # 12 events of an image of 2 px leave 0.6 px, of each coordinate; five deviations.
+    # 12 events of an image of 2 px give a deviation of 0.6 px in each coordinate; five of those.
     assert np.max(errors_px[weak]) < 3.0
 
 

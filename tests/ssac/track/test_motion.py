@@ -1,4 +1,4 @@
-"""What is clean stays so, moves with its clock, and has the motion of events or of points."""
+"""Clean observations stay clean and move with their clock; events and points give the motion."""
 
 import pickle
 from dataclasses import replace
@@ -57,7 +57,7 @@ def test_noise_leaves_and_all_else_stays_also_where_it_was_skipped_before(raw, c
     noisy = clean(raw, CAMERA, Cleaning(False, None))
     assert not noisy.denoised
     assert noisy.events is raw.events
-    motion_of(noisy, WINDOWS)  # of events with noise: not those that are left
+    motion_of(noisy, WINDOWS)  # keeps sums of noisy events, not of clean ones
     again = clean(noisy, CAMERA, HOW)
     for one in (cleaned, again):
         assert (one.denoised, one.n_recorded) == (True, len(raw.events))
@@ -84,12 +84,12 @@ def test_another_camera_is_obeyed(cleaned):
 @pytest.mark.parametrize("t_d_s", [1.6e-6, -1.234567, 3600.0])
 @pytest.mark.parametrize("camera", [CAMERA, RADTAN], ids=["none", "radtan"])
 def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, raw):
-    before, shift_us = raw.events.copy(), round(t_d_s * 1e6)  # rounded, of frames as well
+    before, shift_us = raw.events.copy(), round(t_d_s * 1e6)  # events and frames shift by whole us
     some = replace(raw, events=raw.events[::3])
     later, seen = raw.delayed(t_d_s), clean(raw, camera, HOW)
-    times_us = motion_of(seen, WINDOWS).times_us.copy()  # so that its sums are delayed with it
+    times_us = motion_of(seen, WINDOWS).times_us.copy()  # its kept sums are delayed, too
     delayed, expected = seen.delayed(t_d_s), clean(later, camera, HOW)
-    assert np.array_equal(raw.events, before)  # what was given is as it was
+    assert np.array_equal(raw.events, before)  # the given events are unchanged
     assert np.array_equal(motion_of(seen, WINDOWS).times_us, times_us)
     # Whole microseconds: exact.
     assert np.array_equal(delayed.events, expected.events)
@@ -178,7 +178,7 @@ def test_positions_are_the_means_of_the_windows_also_in_uneven_recordings(t_us):
         [np.mean(side[first:last]) if first < last else np.nan for side in (x, y)]
         for first, last in zip(*bounds, strict=True)
     ]
-    np.testing.assert_allclose(track.positions_px[0, :, 0], expected, atol=1e-9)  # long sums' error
+    np.testing.assert_allclose(track.positions_px[0, :, 0], expected, atol=1e-9)  # rounding of sums
 
 
 def test_velocities_and_sharp_positions_follow_the_path(flight):
@@ -199,7 +199,7 @@ def test_velocities_and_sharp_positions_follow_the_path(flight):
 
 
 def test_velocities_do_not_depend_on_when_the_events_come():
-    # A pixel a millisecond, and ever more events: each half's mean time and position are late.
+    # One pixel per ms and ever more events: the mean time and position of each half are late.
     t_ms = np.repeat(np.arange(60, 140), np.arange(1, 81) ** 2)
     events = column_of_events(1000 * t_ms, t_ms, np.full(len(t_ms), 50))
     velocity = object_motion(events, CAMERA).velocities_at(np.array([0.1]))[0]
@@ -208,7 +208,7 @@ def test_velocities_do_not_depend_on_when_the_events_come():
 
 @pytest.mark.parametrize(("x", "y"), [(4, 100), (341, 100), (100, 4), (100, 255)])
 def test_windows_with_few_events_or_some_on_the_border_are_invalid(x, y):
-    # 800 events, and 5 % of them.
+    # The window needs 800 events, of which at most 5 % may lie on the border.
     for n_min, on_border, is_valid in ((800, 40, True), (801, 0, False), (800, 41, False)):
         events = column_of_events(EVEN_US, x=100, y=100)
         events["x"][:on_border], events["y"][:on_border] = x, y
@@ -240,7 +240,7 @@ def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
     motion = object_motion(events, CAMERA)
     assert motion.at(MIDDLE_S).positions_px[0, 0] == pytest.approx(102.0)  # 640 and 160 events
     track = motion.sharp_at(MIDDLE_S)
-    # The middle of the window is not that of its events: the first comes at its start.
+    # The events' mean time is not the window's middle: the first event comes at its start.
     assert np.allclose(track.positions_px[0], [(2 * 100 + 110) / 3, 50.0], atol=0.01)
     assert track.sizes_px[0] == pytest.approx(10.0 * np.sqrt(2.0 / 9.0))
     assert track.valid[0]
@@ -248,15 +248,15 @@ def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
 
 def test_sharp_images_do_not_move():
     track = object_motion(moving(), CAMERA).sharp_at(MIDDLE_S)
-    # Pixels and cells both round, by up to half a pixel, and not alike in both halves.
+    # Pixels and cells both round, by up to half a pixel, and differently in the two halves.
     assert np.allclose(track.positions_px[0], [120.0, 50.0], atol=0.25)
-    assert track.sizes_px[0] < 1.0  # 12 px if it moved; pixels round by up to half of one
+    assert track.sizes_px[0] < 1.0  # 12 px with motion blur; pixels round by up to half a pixel
     assert np.allclose(track.velocities_px_s[0], [1000.0, 0.0], atol=10.0)
 
 
 def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
     motion = object_motion(moving()[(EVEN_US < 21_000) | (EVEN_US >= 31_000)], CAMERA)
-    # The events left are 18 ms old in the mean, and the mean of their pixels is as old.
+    # The mean time of the events left is 18 ms, and the mean of their pixels belongs to that time.
     assert motion.at(MIDDLE_S).positions_px[0, 0] == pytest.approx(118.0, abs=0.25)
     centred = motion.centred_at(np.array([0.02, 0.1]))
     assert centred.positions_px[0, 0] == pytest.approx(120.0, abs=0.25)  # pixels round
@@ -268,7 +268,7 @@ def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
     [
         (-123_457, 0, 0.0),
         (3_600_000_000, 0, 0.0),
-        # Of the time of day in 2023 float64 resolves 0.24 us: a window's ends may differ.
+        # float64 resolves Unix time in 2023 to 0.24 us: a window's ends may differ.
         (1_700_000_000_000_000, 2, 0.1),
     ],
 )
@@ -325,7 +325,7 @@ def test_the_noise_of_points_is_measured(sigma_px):
     noise = np.random.default_rng(0).normal(0.0, sigma_px, (2000, 2))
     times_s = 1e-3 * np.arange(2000.0)
     motion = of_points(times_s, path(times_s) + noise)
-    # Of 4000 residuals, neighbours' being correlated, the median is good to some 3 %.
+    # The median of 4000 residuals, whose neighbours are correlated, is good to some 3 %.
     assert motion.sigmas_px[0] == pytest.approx(sigma_px, rel=0.1)
 
 
@@ -346,7 +346,7 @@ def test_distortion_is_removed_before_the_mean():
 
 
 def test_rows_of_a_rolling_shutter_have_times_of_their_own():
-    """Rows are those of the image as it is, distorted."""
+    """The rows are those of the distorted image."""
     camera, seen = replace(RADTAN, readout_s=0.03), distort_points(RADTAN, path(TIMES_S[:60]))
     for _ in range(5):
         rows = seen[:, 1] / (HEIGHT - 1)
@@ -354,7 +354,7 @@ def test_rows_of_a_rolling_shutter_have_times_of_their_own():
     motion = of_points(TIMES_S[:60], seen, camera=camera)
     np.testing.assert_allclose(motion.rows, seen[:, 1] / (HEIGHT - 1), rtol=1e-12)
     again = of_points(TIMES_S[:60], seen, camera=RADTAN).read_out(0.01).read_out(0.03)
-    np.testing.assert_allclose(again.times_s, motion.times_s, atol=1e-12)  # not one after the other
+    np.testing.assert_allclose(again.times_s, motion.times_s, atol=1e-12)  # the last alone counts
     assert again.interval_s == pytest.approx(STEP_S)
     wanted_s = np.linspace(0.3, 2.0, 9)
     np.testing.assert_allclose(motion.at(wanted_s).positions_px, path(wanted_s), atol=1e-5)

@@ -1,4 +1,4 @@
-"""What belongs to an object: its outline, a line that holds it, other things beside it."""
+"""The tangents of an object's outline, a line that holds the object, and things beside it."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ LEVEL = Pencil(np.array([0.0, 1.0, -MIDDLE_Y]) / FOCAL_PX, np.array([0.0, 0.0, 1
 
 
 def motion_between_pixels(times_s, points_px):
-    """Motion of events at points (n, 2) between pixels: what is left of a lens's distortion."""
+    """Motion of events at points (n, 2) between pixels, where undistorted events lie."""
     order = np.argsort(times_s, kind="stable")
     t_us, pixels = np.rint(1e6 * times_s[order]).astype(int), np.rint(points_px[order]).astype(int)
     events = events_from_arrays(t_us, *pixels.T, np.zeros(len(t_us), int))
@@ -49,7 +49,7 @@ def motion_between_pixels(times_s, points_px):
 
 
 def square(rate_hz, seed=0):
-    """Times and points of a square that drifts along the lines, at even odds all over it."""
+    """Times and points of events all over a square that drifts along the epipolar lines."""
     rng = np.random.default_rng(seed)
     times_s = np.sort(rng.uniform(0.0, DURATION_S, rng.poisson(rate_hz * DURATION_S)))
     points_px = SIDE_PX * (rng.random((len(times_s), 2)) - 0.5) + [500.0, MIDDLE_Y]
@@ -72,11 +72,11 @@ def edges_px(motion):
 
 @pytest.mark.parametrize("rate_hz", [20_000.0, 60_000.0])
 def test_the_ranks_give_the_edge_itself(rate_hz):
-    """An event of rank k lies k + 1 steps inside an even edge: half the gap of ranks 2 and 8."""
+    """Rank k lies k + 1 steps inside an even edge: rank 2 by half the gap of ranks 2 and 8."""
     (upper, lower), spreads = edges_px(motion_between_pixels(*square(rate_hz)))
-    step_px = SIDE_PX / (0.040 * rate_hz)  # between events, of a window of 40 ms
-    # 95 windows without common events, each off by two to three steps, and four deviations of that;
-    # the outline is put ahead of its events by a twentieth of a pixel at most.
+    step_px = SIDE_PX / (0.040 * rate_hz)  # between events in a window of 40 ms
+    # Four deviations of the mean of 95 windows without common events, each off by 2 to 3 steps; the
+    # outline is put ahead of its events by a twentieth of a pixel at most.
     atol = 4.0 * 2.5 * step_px / np.sqrt(95) + 0.05
     assert np.mean(upper) == pytest.approx(MIDDLE_Y + SIDE_PX / 2, abs=atol)
     assert np.mean(lower) == pytest.approx(MIDDLE_Y - SIDE_PX / 2, abs=atol)
@@ -90,13 +90,13 @@ def test_two_events_beyond_the_edge_hardly_move_it():
     stray_s = np.arange(0.010, DURATION_S, 0.020)  # two in each window, 20 px out
     stray_px = np.column_stack([500.0 + 200.0 * stray_s, np.full(len(stray_s), MIDDLE_Y + 80.0)])
     disturbed = motion_between_pixels(np.append(times_s, stray_s), np.vstack([points_px, stray_px]))
-    # They take two ranks, each a step of 0.075 px, and half as much again by the deeper rank.
+    # Stray events take two ranks, each a step of 0.075 px; the deeper rank adds half as much again.
     (pushed, _), _ = edges_px(disturbed)
     assert abs(np.mean(pushed) - np.mean(upper)) < 0.4
 
 
 def test_a_tangent_cut_off_by_the_border_is_invalid():
-    # The upper 3 px of 120 lie in the border of 5 px: too few events to drop the track's samples.
+    # The upper 3 px of 120 lie in the border of 5 px: too few events to make the track invalid.
     times_s, points_px = square(40_000.0)
     points_px[:, 1] += WIDE.height - 2.0 - (MIDDLE_Y + SIDE_PX / 2)
     motion = motion_between_pixels(times_s, points_px)
@@ -107,7 +107,7 @@ def test_a_tangent_cut_off_by_the_border_is_invalid():
 
 
 def test_simultaneous_events_on_one_line_are_ranked_alike_whatever_rounding_does():
-    # All events of a row are at one angle: which of them counts must not hang on the last bit.
+    # All events of a row have one angle: the choice among them must not depend on the last bit.
     n, n_blocks = 400, 20
     values = np.repeat(np.random.default_rng(0).normal(size=n // 4), 4)
     bounds = np.linspace(0, n, n_blocks + 1).astype(np.intp)
@@ -147,7 +147,7 @@ def angles_rad(times_s, towards_deg):
 
 
 def thread(towards_deg, length_px=400.0, rate_hz=150.0, goes_along=True, seed=0):
-    """Events of a line from the object's rim on, `rate_hz` on each of its pixels."""
+    """Events of a line that begins at the object's rim, `rate_hz` on each pixel of its length."""
     rng = np.random.default_rng((seed, 2))
     times_s = np.sort(rng.uniform(0.0, HELD_S, round(rate_hz * length_px * HELD_S)))
     away = RADIUS_PX + rng.uniform(0.0, length_px, len(times_s))
@@ -158,7 +158,7 @@ def thread(towards_deg, length_px=400.0, rate_hz=150.0, goes_along=True, seed=0)
 
 
 def found_in(*streams):
-    """What denoising leaves, and which of it is found to be of a line."""
+    """The events that denoising leaves, and the mask of those found to be on a line."""
     events = merged(*streams)
     kept, _ = without_noise(events, WIDTH, HEIGHT, None, NoiseRules())
     return kept, events_on_line(events, kept, WIDTH, HEIGHT, LineRules())
@@ -173,15 +173,15 @@ def test_a_thread_is_found_on_whichever_side_it_is(towards_deg):
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
     of_thread = (along > RADIUS_PX + 1.0) & (np.abs(across) < 1.5)
     assert np.count_nonzero(of_thread) > 100  # which denoising leaves beside the object
-    assert mask[of_thread].mean() > 0.95  # its place is found to a fraction of a pixel
-    # Of the disc, what lies in the strip on that side: 13 % where it is twice the half width.
+    assert mask[of_thread].mean() > 0.95  # the line is found to a fraction of a pixel
+    # The strip on the thread's side, twice the half width wide, holds 13 % of the disc.
     share = 2.0 * LineRules.half_width_px * RADIUS_PX / (np.pi * RADIUS_PX**2)
     assert mask[np.hypot(x, y) < RADIUS_PX].mean() == pytest.approx(share, rel=0.15)
     assert mask[along < -2.0].mean() < 1e-3
 
 
 def in_a_fifth(events):
-    """Of the three tenths of a recording that are asked for."""
+    """Events of the first fifth of a recording; a line needs three tenths of the windows."""
     return events[events["t"] < 0.2e6 * HELD_S]
 
 
@@ -229,7 +229,7 @@ RULES = ObjectRules()
 
 @pytest.fixture(scope="module")
 def both():
-    """One camera's events of two flights, which is which, and what is found."""
+    """One camera's events of two flights, the flight that each is of, and the objects found."""
     events, thing = mixed(flight(4)[0], flight(5)[0])
     return events, thing, objects_of(events, CAMERA, RULES)
 
@@ -243,7 +243,7 @@ def test_one_thing_seems_one(size_m):
 
 def test_the_parts_of_a_large_thing_are_one():
     events = make_events(make_scene(6, duration_s=8.0), 6, size_m=1.6)[1]
-    assert seem_several(events, CAMERA, RULES)  # points of a cloud of 64 px do not hang together
+    assert seem_several(events, CAMERA, RULES)  # a cloud of 64 px makes several blobs
     assert not objects_of(events, CAMERA, RULES).are_several
 
 
@@ -256,7 +256,7 @@ def test_each_piece_is_of_one_thing(both):
         share = np.mean(thing[found.events_of([piece])])
         shares.append(max(share, 1.0 - share))
         n_bins += len(piece.positions_px)
-    # Where two touch, a bin or two of the few at a piece's ends hold both.
+    # Where two objects touch, one or two of the few bins at a piece's ends hold both.
     assert np.mean(np.array(shares) > 0.97) > 0.9
     # Both are in view most of the time, and apart for most of that.
     assert n_bins > 1.2 * np.ptp(events["t"]) / RULES.bin_us
@@ -270,7 +270,7 @@ def test_pieces_follow_the_path():
         inner = (times_s > 0.02) & (times_s < 7.98)  # bins that the flight fills
         seen_px = track_pair(make_scene(4, duration_s=8.0), times_s)[0]
         apart_px = np.linalg.norm(piece.positions_px - seen_px, axis=1)
-        # 500 events of 16 px lie 0.3 px from their mean; what leaves the view is cut.
+        # The mean of 500 events of 16 px is good to 0.3 px; images that leave the view are cut.
         assert np.median(apart_px[inner]) < 0.5
 
 
@@ -281,5 +281,5 @@ def test_what_stays_in_its_place_is_no_piece():
     assert found.n_seen > 2
     chosen = thing[found.events_of(found.pieces)]
     assert len(chosen) > 0.3 * np.count_nonzero(thing == 0)
-    # Leaves beyond the cells that they fill in a third of the bins are few.
+    # Few leaves lie beyond the cells that leaves fill in a third of the bins.
     assert np.mean(chosen) < 0.02

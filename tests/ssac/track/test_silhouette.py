@@ -1,4 +1,4 @@
-"""Silhouettes and what they tell: centres, second moments, a plate, a body that turns."""
+"""Silhouettes give centres and second moments of images, and correct a turning body's track."""
 
 from dataclasses import replace
 from functools import cache
@@ -25,7 +25,7 @@ from tests.ssac.cluttered import merged, noise
 SIZE = 320
 CAMERA = Camera(np.array([[100.0, 0.0, 160.0], [0.0, 100.0, 160.0], [0.0, 0.0, 1.0]]), SIZE, SIZE)
 MIDDLE = np.array([160.3, 159.8])
-WINDOW = 50  # that is drawn; a shape is within
+WINDOW = 50  # width [px] of the part drawn, which holds the shape
 LIGHT, DARK = 0.4, 0.05
 THRESHOLD = 0.25
 SPEED_PX_S, STEP_PX = 200.0, 0.1
@@ -33,19 +33,19 @@ FINE = 5  # samples across a pixel
 
 
 def disc(u, v):
-    """A disc of 13 px, some 9 px rms."""
+    """A disc of radius 13 px, some 9 px rms."""
     return np.hypot(u, v) < 13.0
 
 
 def corner(u, v):
-    """An L of arms 6 px wide and 30 and 20 px long, whose hull's centre is 4 px off its own."""
+    """An L with arms 6 px wide, 30 and 20 px long; its hull's centre is 4 px from its own."""
     along = (np.abs(u) < 3.0) & (np.abs(v) < 15.0)
     return along | ((u > 0.0) & (u < 20.0) & (v > 9.0) & (v < 15.0))
 
 
 @cache
 def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
-    """Events of a shape that crosses the view; and times, true centres and moments."""
+    """Events of a shape that crosses the view; times [s], true centres and second moments."""
     way = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
     along = np.arange(-0.5 * length_px, 0.5 * length_px, STEP_PX)
     times_us = 1e6 * (along - along[0]) / SPEED_PX_S
@@ -93,22 +93,22 @@ def found_of(events, times_s, track_px, spread, **rules) -> Silhouettes | None:
 
 
 @pytest.mark.parametrize("shape", [disc, corner])
-@pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0, 180.0])  # along edges of the L, and not
+@pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0, 180.0])  # along edges of the L, or oblique
 def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg) -> None:
     events, times_s, centres, spread = recorded(shape, angle_deg)
-    # The mean of the events is elsewhere, and is all that the track tells.
+    # The track holds the mean of the events, which is not the centre of the area.
     track = centres + np.array([0.8, -0.6])
     found = found_of(events, times_s, track, spread)
     known = found.known
-    # Where it was at the start no pixel was seen bare: for as far as its box reaches.
+    # Early images are unknown: their boxes hold pixels that have not been seen bare.
     assert known[len(known) // 2 :].mean() > 0.9
     off = (found.centres_px - centres)[known]
-    # What share of a pixel a level stands for is that of a middling contrast, not of this one: an
-    # edge is off by 0.2 px at most, and edges on both sides the more alike the longer they are.
+    # The covered share of a level assumes a middling contrast, not this one: an edge is off by
+    # 0.2 px at most, and opposite edges are off the more alike the longer they are.
     assert np.abs(off.mean(axis=0)).max() < 0.2
     assert np.sqrt(np.mean(off**2)) < 0.2
     told = found.spreads_px2[known].mean(axis=0)
-    # An edge's blur of a pixel widens it, and its faint half that has no event narrows it.
+    # The blur of an edge by a pixel widens the image; its faint half, without events, narrows it.
     scale = np.trace(spread)
     assert told == pytest.approx([spread[0, 0], spread[0, 1], spread[1, 1]], abs=0.08 * scale)
 
@@ -116,21 +116,21 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg
 def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
     events, times_s, centres, spread = recorded(corner, 37.0, object_luminance=0.95)
     found = found_of(events, times_s, centres, spread)
-    # Contrast is that of three and a half thresholds, so that levels are coarser.
+    # The contrast is three and a half thresholds, so that levels are coarser.
     assert np.abs((found.centres_px - centres)[found.known].mean(axis=0)).max() < 0.3
 
 
 @pytest.mark.parametrize("luminance", [DARK, 0.95])
 def test_what_a_large_object_covers_at_first_is_told_by_what_comes_later(luminance) -> None:
-    # It moves by 60 px, and the box is of over 30 on each side: most pixels never leave it.
+    # It moves by 60 px, and its box reaches over 30 px each way: most pixels never leave the box.
     events, times_s, centres, spread = recorded(corner, 37.0, luminance, length_px=60.0)
     assert found_of(events, times_s, centres, spread) is None
     found = found_of(events, times_s, centres, spread, large_px=5.0)
     assert found.known.mean() > 0.95
     off = (found.centres_px - centres)[found.known]
-    # The contrast of a bright one is that of three and a half thresholds: levels are coarser.
+    # A bright object's contrast is three and a half thresholds: levels are coarser.
     assert np.abs(off.mean(axis=0)).max() < 0.3
-    assert np.sqrt(np.mean(off**2)) < 0.4  # what is never laid bare, and so told, is a small part
+    assert np.sqrt(np.mean(off**2)) < 0.4  # pixels never uncovered, whose level is unsure, are few
 
 
 def test_a_large_object_both_darker_and_lighter_than_its_background_has_none() -> None:
@@ -159,7 +159,7 @@ def to_and_fro():
 
 
 def blind(events, lasting_us):
-    """Leave out what follows an event of its pixel so soon."""
+    """Leave out events that follow the pixel's last kept event within `lasting_us`."""
     order = np.lexsort((events["t"], events["y"], events["x"]))
     inside, left, last = events[order], np.ones(len(events), bool), 0
     for i in range(1, len(inside)):
@@ -170,7 +170,7 @@ def blind(events, lasting_us):
 
 
 def unequal(events, share):
-    """Leave out some events of one polarity, as of pixels with a larger threshold for it."""
+    """Leave out a share of half the pixels' ON events, as with a larger ON threshold there."""
     drawn = np.random.default_rng(0).random((SIZE, SIZE))[events["y"], events["x"]]
     return events[(events["p"] == 0) | (drawn > 0.5) | (np.arange(len(events)) % 8 >= 8 * share)]
 
@@ -179,14 +179,14 @@ def thinned(events, share):
     return events[np.random.default_rng(0).random(len(events)) < share]
 
 
-@pytest.mark.parametrize("share", [0.0, 0.25])  # counted, and evened
+@pytest.mark.parametrize("share", [0.0, 0.25])  # levels are counted, or evened
 def test_a_delayed_clock_shows_the_same_to_the_last_bit(share) -> None:
     events, times_s, track_px, spread = to_and_fro()
     events = unequal(events, share)
     later = events.copy()
     later["t"] += 123_457
     one = found_of(events, times_s, track_px, spread)
-    # The track is told on this clock, with rounding errors of its own.
+    # The track on the later clock has rounding errors of its own.
     other = found_of(later, times_s + 0.123457, track_px * (1.0 + 1e-13), spread)
     np.testing.assert_array_equal(one.centres_px, other.centres_px)
     np.testing.assert_array_equal(one.spreads_px2, other.spreads_px2)
@@ -206,11 +206,11 @@ def test_a_delayed_clock_shows_the_same_to_the_last_bit(share) -> None:
 def test_levels_that_do_not_come_out_even_are_evened(spoilt) -> None:
     events, times_s, centres, spread = to_and_fro()
     off_px, shares = [], []
-    for least in (SilhouetteRules.min_closed_share, 0.0):  # evened, and as they are counted
+    for least in (SilhouetteRules.min_closed_share, 0.0):  # levels evened, and levels as counted
         found = found_of(spoilt(events), times_s, centres, spread, min_closed_share=least)
         off_px.append(np.sqrt(np.mean((found.centres_px - centres)[found.known] ** 2)))
         shares.append(found.known.mean())
-    # A fraction of a pixel of the object's 11: counted, pixels stay behind as a trail.
+    # A fraction of a pixel, of the object's 11: levels as counted leave a trail of pixels behind.
     assert off_px[0] < 0.5
     assert off_px[0] < 0.25 * off_px[1]
     assert shares[0] > 0.8
@@ -239,7 +239,7 @@ def test_a_pixel_is_not_covered_where_it_is_passed_over(seed) -> None:
     before, after = np.arange(n, dtype=np.int32) - 1, np.arange(n, dtype=np.int32) + 1
     after[-1] = -1
     n_passed = n_covered = 0
-    for a, b in zip([-1, *range(n)], [0, *after], strict=True):  # none before, and none after
+    for a, b in zip([-1, *range(n)], [0, *after], strict=True):  # -1: no event
         start_us, end_us = _bare_us(a, b, times_us, levels, before, 9000.0)
         from_us = times_us[a] if a >= 0 else 0
         until_us = times_us[b] if b >= 0 else times_us[a] + 100_000
@@ -254,7 +254,7 @@ def test_a_pixel_is_not_covered_where_it_is_passed_over(seed) -> None:
 
 @cache
 def drawn(shape: str) -> tuple[list[Look], np.ndarray, list[np.ndarray]]:
-    """What cameras see of it; its second moments; the centres of area less the origin's images."""
+    """The cameras' looks at a shape, its second moments, and centres less images of its origin."""
     body, turns = BODY_M if shape == "body" else BALL_M, attitudes(TIMES_S, 25.0)
     looks, shifts = [], []
     for angle_deg in ANGLES_DEG:
@@ -270,7 +270,7 @@ def drawn(shape: str) -> tuple[list[Look], np.ndarray, list[np.ndarray]]:
 @cache
 def found(shape: str) -> list[np.ndarray]:
     looks, moments, _ = drawn(shape)
-    # A ball has many voxels: of twice the width they are an eighth as many.
+    # A ball has many voxels: at 4/3 of the width there are 0.4 times as many.
     rules = RULES if shape == "body" else BodyRules(voxels_across=15.0)
     return body_moves(looks, TIMES_S, moments, rules)
 
@@ -281,15 +281,15 @@ def swayed_px(moves: list[np.ndarray]) -> float:
 
 def test_one_point_is_followed_where_the_centre_of_area_strays() -> None:
     _, _, shifts = drawn("body")
-    # A point of the body need not be the origin: one fixed in it has a lever, which sways as the
-    # body turns, by less than the centre does; what is left of the shape is some 0.02 px.
+    # The point found need not be the origin: a point at a lever from the origin sways as the body
+    # turns, but by less than the centre of area does. The shape's error leaves some 0.02 px.
     assert np.isfinite(np.concatenate(found("body"))).mean() > 0.8
     assert swayed_px(found("body")) < 0.5 * swayed_px(shifts)
 
 
 def test_a_ball_needs_no_correction() -> None:
-    # Which way a ball is turned no image tells, and none needs to. Voxels 0.8 px apart are no ball:
-    # what is left of them is some 0.05 px, as the axes of its moments take any direction.
+    # No image shows a ball's attitude, and no correction needs it. Voxels 0.6 px apart do not make
+    # an exact ball: as the axes of its moments take any direction, they cause some 0.05 px.
     assert np.sqrt(np.nanmean(np.square(found("ball")))) < 0.1
 
 
@@ -300,7 +300,7 @@ def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
     moved = [replace(looks[k], R=looks[k].R @ G.T) for k in order]
     moves = body_moves(moved, TIMES_S, G @ moments @ G.T, RULES)
     for k, move in zip(order, moves, strict=True):
-        # Sums are in another order, and axes may point the other way: voxels are then others.
+        # Sums are taken in another order, and axes may be reversed: the voxels then differ.
         assert np.nanmax(np.abs(move - found("body")[k])) < 0.05
 
 
@@ -315,13 +315,13 @@ def test_last_digits_decide_nothing_of_the_moments_of_two_views(pair: tuple[int,
             R, focal_px, points = looks[k].R, looks[k].focal_px, looks[k].points
             by_place = image_by_place(R, focal_px, points)
             spreads = (by_place @ moments @ by_place.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
-            # Noise leaves some without any depth, where a root makes 1e-16 to 1e-8.
+            # Noise leaves some moments without depth; there a square root turns 1e-16 into 1e-8.
             spreads = spreads + 0.6 * spreads.mean() * rng.standard_normal(spreads.shape)
             spreads *= 1.0 + off * other.standard_normal(spreads.shape)
             views.append(View(R, focal_px, points, spreads))
         return moments_of_two(views, 2.0, 1, RULES)
 
-    # Without rounding, 6e-9 of the largest moment.
+    # Without the rounding in `moments_of_two`, this is 6e-9 of the largest moment.
     exact = found(0.0)
     assert found(1e-13) == pytest.approx(exact, rel=0.0, abs=1e-10 * np.abs(exact).max())
 
@@ -343,12 +343,12 @@ def plate() -> np.ndarray:
 
 
 def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[View, np.ndarray]:
-    """A camera's view of the plate as it turns, and true centres less images of its middle."""
+    """A camera's view of the turning plate, and true centres of area less images of its middle."""
     R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
     t = np.array([0.4, -0.3, DISTANCE_M])
     local = np.einsum("nij,pj->npi", R @ turns.as_matrix(), size * plate()) + t
     images = FOCAL_PX * local[..., :2] / local[..., 2:]
-    weights = local[..., 2] ** -3.0  # of the area that a part of a plane has in an image
+    weights = local[..., 2] ** -3.0  # relative image area of a part of the plane
     weights /= weights.sum(axis=1, keepdims=True)
     centres = np.einsum("np,npi->ni", weights, images)
     off = images - centres[:, None]
@@ -366,10 +366,10 @@ def slowly_turning() -> Rotation:
 def test_second_moments_are_those_of_the_object() -> None:
     turns, flat = slowly_turning(), 0.01 * np.cov(plate().T, bias=True)
     views = [seen_by(angle_deg, turns, 0.1)[0] for angle_deg in ANGLES_DEG]
-    assert np.isnan(second_moments(views[:2], 1.0)).all()  # two views have one in common
+    assert np.isnan(second_moments(views[:2], 1.0)).all()  # both measure one moment in common
     found = second_moments(views, 1.0)
     true = turns.as_matrix() @ flat @ turns.as_matrix().transpose(0, 2, 1)
-    # Perspective's own share is the size over the distance, 1 %, and smoothing's at the ends.
+    # Perspective adds an error of size over distance, 1 %; smoothing adds one at the ends.
     assert found[2:-2] == pytest.approx(true[2:-2], abs=0.03 * np.trace(flat))
 
 
@@ -380,6 +380,6 @@ def test_shifts_are_those_of_a_plate(size: float) -> None:
     moments = second_moments([view for view, _ in told], 1.0)
     largest = max(np.abs(true).max() for _, true in told)
     for view, true in told:
-        # The next order, of the size over the distance, is left: some 5 % of the largest shift.
+        # The next order in size over distance is left: some 5 % of the largest shift.
         found = perspective_shifts(view, moments, BodyRules.depth_power)
         assert found[2:-2] == pytest.approx(true[2:-2], abs=0.1 * largest)
