@@ -1,7 +1,7 @@
-"""The ways to an answer, and whether two answers are the same to the last bit.
+"""The ways to ask for an estimate, and a comparison of two answers to the last bit.
 
-All that the tests know of how a way is called stands here. `.ci/same` runs this file with the
-packages of another commit, so nothing but `ssac` is imported when it is loaded.
+Only this module of the tests knows how each way is called. `.ci/same` runs this file with the
+packages of another commit, so it imports only `ssac` of our packages when it is loaded.
 """
 
 import json
@@ -30,7 +30,7 @@ FIRST_TWO: Pair = (0, 1)
 
 @dataclass(frozen=True)
 class Recorded:
-    """Files of two cameras or more, their rig, and with which options they are synchronised."""
+    """The files of two or more cameras, their rig, and the options to synchronise them with."""
 
     name: str
     files: tuple[str, ...]
@@ -40,7 +40,7 @@ class Recorded:
     config: dict[str, Any] = field(default_factory=dict, hash=False)  # fields of Config
 
     def without_paths(self, text: str) -> str:
-        """Name cameras and rig as a caller without files knows them."""
+        """Replace the paths in a message by the names that a caller without files sees."""
         for number, path in enumerate(self.files, start=1):
             text = text.replace(path, f"camera {number}")
         return text.replace(self.rig, "the rig")
@@ -50,7 +50,7 @@ class Recorded:
 
 
 def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
-    """Call `ssac.sync`: the estimate, and what the command line is to write and print."""
+    """Call `ssac.sync`; return its estimate, and what the command line must write and print."""
     from ssac import sync
 
     result = sync(
@@ -72,7 +72,7 @@ def untimed(told: dict[str, Any]) -> dict[str, Any]:
 
 
 def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Run `ssac sync --json` within this process: what the file holds, and what is printed."""
+    """Run `ssac sync --json` within this process; return the file's fields and the output."""
     from ssac.cli.sync import OPTIONS
     from tests.ssac.command import read_json, run
 
@@ -95,7 +95,7 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
 
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Measure a study's cell: its row, as it is kept."""
+    """Measure a cell of a study; return its row as the cache keeps it."""
     from experiments.lab.cell import UNUSABLE
     from experiments.lab.schedule import plain
     from experiments.lab.scored import scored_row
@@ -118,13 +118,13 @@ def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str,
 
 
 def by_chain(recorded: Recorded, method: str, pair: Pair) -> Estimate:
-    """Ask a pair of the chain of all cameras, which chooses one object for the whole rig."""
+    """Estimate one pair by the chain of all cameras, which chooses one object for the whole rig."""
     return _chain(recorded).estimate(method, *pair)
 
 
 @cache
 def _chain(recorded: Recorded) -> Any:
-    """Give the chain of a caller who has all cameras in memory."""
+    """Build the chain as a caller does who has all cameras in memory."""
     from ssac import Chain
     from ssac.camera import to_be_read_out
     from ssac.pipeline.opened import opened, opened_rig
@@ -137,7 +137,7 @@ def _chain(recorded: Recorded) -> Any:
 
 
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
-    """Synchronise all cameras at once: the estimate of each pair, which are not solved then."""
+    """Synchronise all cameras at once; return each pair's estimate, without solving the network."""
     from ssac import sync
 
     paired = dict[Pair, Any]()
@@ -167,7 +167,7 @@ def _of_study(recorded: Recorded, method: str) -> Any:
 
 
 def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: Any) -> Any:
-    """Give what a way answers, fields by name; what it refuses is the field `error`."""
+    """Return the fields of a way's answer by name; if it refuses, the message as field `error`."""
     try:
         return fields_of(way(recorded, method, *more))
     except SsacError as error:
@@ -175,7 +175,7 @@ def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: An
 
 
 def fields_of(value: Any) -> Any:
-    """Turn dataclasses into dicts, and statuses into words: what another commit can load."""
+    """Turn dataclasses into dicts and statuses into plain strings, which any commit can load."""
     if is_dataclass(value):
         return {name: fields_of(part) for name, part in vars(value).items()}
     if isinstance(value, dict):
@@ -189,7 +189,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 
 def differences(one: Any, other: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """List the fields that differ in a bit, with both values; NaN is NaN."""
+    """Yield the fields that differ in any bit, with both values; NaN equals NaN."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in {**one, **other}:
             inner, missing = f"{name}.{key}" if name else str(key), "(missing)"
@@ -203,14 +203,14 @@ def _is_same(one: Any, other: Any) -> bool:
         return False
     if isinstance(one, np.ndarray):
         return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
-    return repr(one) == repr(other)  # of floats: all their bits, NaN alike
+    return repr(one) == repr(other)  # shows every bit of a float, and NaNs alike
 
 
 # --- For another commit ---------------------------------------------------------------------------
 
 
 def main() -> None:
-    """Answer with the packages of PYTHONPATH: recordings of a JSON file, answers into a pickle."""
+    """Estimate the recordings of a JSON file by the packages of PYTHONPATH; pickle the answers."""
     recorded_file, answers_file = map(Path, sys.argv[1:])
     tree = Path(os.environ["PYTHONPATH"])
     if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):

@@ -11,7 +11,7 @@ settings.load_profile("few")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest files, those beside this one: else one worker ends with them alone."""
+    """Run this folder's own files first: they are longest, and would else end on one worker."""
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
 
 

@@ -1,4 +1,4 @@
-"""A page as a browser would read it, without one."""
+"""Parses and checks an HTML page without a browser."""
 
 from html.parser import HTMLParser
 
@@ -7,7 +7,7 @@ EVIL = "</script><script>alert('x')</script>&"
 
 
 class Reader(HTMLParser):
-    """Fails on elements that are not nested properly; keeps what a browser would load."""
+    """Parser that fails on badly nested elements, and keeps ids, text and addresses to load."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class Reader(HTMLParser):
 
 
 def check_page(page: str) -> Reader:
-    """Check that a page is whole and needs no other file, and give its text."""
+    """Check that a page is well formed and loads no other file; return the parsed page."""
     reader = Reader(page)
     assert len(set(reader.ids)) == len(reader.ids)
     assert reader.addresses

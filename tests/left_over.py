@@ -1,4 +1,4 @@
-"""What processes leave behind that were killed: names of theirs, and files that lay for long."""
+"""Imitates what killed processes leave behind: their temporary names, and old files."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ def ended_process() -> int:
 
 
 def made_by(path: Path, process: int, host: str = "") -> Path:
-    """A temporary name that another process, of this host or another one, gives a path."""
+    """Return the temporary name that a process of this or another host gives to a path."""
     maker, name = f".{this_host()}.{os.getpid()}.", temporary_path(path).name
     return path.with_name(name.replace(maker, f".{host or this_host()}.{process}."))
 

@@ -38,7 +38,7 @@ class Mutant:
     tests: tuple[str, ...] = ()  # arguments of pytest; none: the tests that mirror the file
 
     def mutated(self, tree: Path) -> str:
-        """Give the file's text with the error; ValueError where the list is older than it."""
+        """Return the file's text with the error; ValueError if `old` does not occur once in it."""
         path = tree / self.file
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if text.count(self.old) != 1:
@@ -49,7 +49,7 @@ class Mutant:
         return text.replace(self.old, self.new)
 
     def arguments(self, tree: Path) -> tuple[str, ...]:
-        """Say which tests are to notice it."""
+        """Return the arguments of pytest for the tests that must notice the mutant."""
         path = Path(self.file)
         mirrored = Path("tests") / path.parent / f"test_{path.name}"
         return self.tests or (str(mirrored if (tree / mirrored).is_file() else mirrored.parent),)
@@ -62,7 +62,7 @@ def mutants() -> list[Mutant]:
 
 @contextmanager
 def scratch_copy() -> Iterator[Path]:
-    """Check the last commit out elsewhere, with the kernels that are compiled already."""
+    """Check out the last commit in a temporary folder, with the kernels already compiled."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = Path(folder) / "tree"
         git = ["git", "-C", str(ROOT), "worktree"]
@@ -77,7 +77,7 @@ def scratch_copy() -> Iterator[Path]:
 
 
 def _take_kernels(ours: Path, theirs: Path) -> None:
-    """Copy what numba keeps of a module, which it knows by its time, if the module is the same."""
+    """Copy numba's cache of an unchanged module, and the module's time, by which numba knows it."""
     if not ours.is_file() or ours.read_bytes() != theirs.read_bytes():
         return
     shutil.copystat(ours, theirs)
@@ -87,11 +87,11 @@ def _take_kernels(ours: Path, theirs: Path) -> None:
 
 
 def verdict(mutant: Mutant, tree: Path) -> str:
-    """Make an error in a copy of the tree, run its tests there, and take it back."""
+    """Apply a mutant to a copy of the tree, run its tests there, and undo it."""
     path, mutated = tree / mutant.file, mutant.mutated(tree)
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
     with tempfile.TemporaryDirectory(dir=tree.parent) as own_cache:
-        # Kernels that call one with the error do not know of its change.
+        # A cached kernel does not notice that a kernel it calls has changed.
         cache = own_cache if "njit" in text else None
         try:
             path.write_text(mutated, encoding="utf-8")
@@ -111,7 +111,7 @@ def verdict(mutant: Mutant, tree: Path) -> str:
 
 
 def _tested(tree: Path, arguments: Sequence[str], cache: str | None) -> tuple[int, str]:
-    """Run tests up to the first that fails: pytest's exit code, and what it said."""
+    """Run tests up to the first failure; return pytest's exit code and output."""
     settings = os.environ | {"PYTHONPATH": str(tree)}
     settings |= {} if cache is None else {"NUMBA_CACHE_DIR": cache}
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *arguments]
@@ -123,7 +123,7 @@ def _tested(tree: Path, arguments: Sequence[str], cache: str | None) -> tuple[in
 
 
 def main() -> int:
-    """Run the mutants whose name, or whose file's, has the part that is asked for."""
+    """Run the mutants whose name or file contains the text of option -k."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-k", default="", metavar="PART", help="of a name, or of a file")
     part = parser.parse_args().k

@@ -1,4 +1,4 @@
-"""Small recordings of all kinds, as files, that every way to an answer must answer alike."""
+"""Small recordings of all kinds, as files, for which every way must give the same answer."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,19 +20,19 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, clocked, make_even
 from tests.ssac.tracks import frame_track, frame_tracks, rig_document
 
 DURATION_S, T_D_S, SIZE_M = 5.0, 0.05, 0.4
-RATE_HZ = 8_000.0  # of events: the fewest that leave most kinds an answer
+RATE_HZ = 8_000.0  # the lowest rate of events at which most kinds get an answer
 DURATION_US = round(DURATION_S * US_PER_S)
 SCENE = make_scene(0, duration_s=DURATION_S)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What cameras saw, and where they stand."""
+    """What the cameras recorded, and their poses."""
 
-    cameras: Sequence[Any]  # events or a track, each
-    scenes: tuple[Scene, ...] = (SCENE,)  # camera 1 and each further camera
-    has_pose: bool = True  # in the rig
-    t_d_s: float | None = T_D_S  # of camera 2's frames; None: event cameras give none
+    cameras: Sequence[Any]  # each is events or a track
+    scenes: tuple[Scene, ...] = (SCENE,)  # of camera 1 with each further camera
+    has_pose: bool = True  # whether the rig holds the poses
+    t_d_s: float | None = T_D_S  # offset of camera 2's frames; None: no frames
     options: dict[str, Any] = field(default_factory=dict)  # of `Recorded`
 
 
@@ -56,7 +56,7 @@ def write(name: str, folder: Path) -> Recorded:
 
 
 def _rig(seen: Seen) -> dict[str, Any]:
-    """All cameras alike; each but the first says where it is, seen from the one before it."""
+    """Return a rig of equal cameras; each but the first has its pose relative to the previous."""
     entry, rig, before = rig_document()["cam0"], dict[str, Any](), np.eye(4)
     for k, scene in enumerate((None, *seen.scenes)):
         rig[f"cam{k}"] = dict(entry)
@@ -72,7 +72,7 @@ def _events(scene: Scene = SCENE, t_d_s: float = T_D_S, size_m: float = SIZE_M) 
 
 
 def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
-    """Give the scene with a path of one's own [m] about the place that both cameras look at."""
+    """Return the scene with another path [m], relative to the point that both cameras look at."""
     times_s = np.linspace(-1.0, scene.duration_s + 1.0, 200)
     x, y, z = np.broadcast_arrays(*path(times_s))
     return replace(scene, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))

@@ -1,4 +1,4 @@
-"""Two synthetic cameras' recordings as files, for what works on paths; no OpenGL."""
+"""Recordings of two synthetic cameras as files, for tests that need paths; without OpenGL."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ KALIBR = yaml.safe_dump(rig_document(distortion_coeffs=[]))
 
 
 def kalibr_with_pose(R: NDArray[np.float64], t: NDArray[np.float64]) -> str:
-    """Return the rig's text with what turns camera 1's coordinates into camera 2's."""
+    """Return the rig's text with the pose that takes camera 1's coordinates to camera 2's."""
     T_2_1 = np.eye(4)
     T_2_1[:3, :3], T_2_1[:3, 3] = R, t
     return f"{KALIBR}  T_cn_cnm1: {T_2_1.tolist()}\n"
@@ -46,7 +46,7 @@ class Recorded:
 def record(folder: Path) -> Recorded:
     """Record 8 s at 90 deg; camera 2's clock reads T_D_S more than camera 1's."""
     scene = make_scene(seed=0, duration_s=DURATION_S)
-    # As dense as a real object is, so that denoising keeps it.
+    # The events are as dense as a real object's, so that denoising keeps them.
     streams = make_events(scene, seed=0, t_d_s=T_D_S, size_m=0.4)
     for name, events, offset_s in zip(("cam1", "cam2"), streams, (0.0, T_D_S), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
@@ -58,7 +58,7 @@ def record(folder: Path) -> Recorded:
 
 
 def add_frames(path: Path, offset_s: float) -> None:
-    """Frames at 50 Hz of a brightness that both cameras share, at times moved by the offset."""
+    """Add frames at 50 Hz, whose brightness both cameras share, at times moved by the offset."""
     rng = np.random.default_rng(7)
     n = round(DURATION_S / FRAME_S)
     grey = np.cumsum(rng.integers(-9, 10, n)) % 256

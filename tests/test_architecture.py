@@ -1,4 +1,4 @@
-"""Which way imports go: the contracts of pyproject.toml, and that each finds what it is for."""
+"""Tests that each import contract of pyproject.toml finds the imports that it forbids."""
 
 from collections.abc import Iterator
 from copy import deepcopy
@@ -52,7 +52,7 @@ def imports() -> grimp.ImportGraph:
 
 
 def broken(imports: grimp.ImportGraph) -> Iterator[str]:
-    """Name the contracts that imports do not keep."""
+    """Yield the names of the contracts that the imports break."""
     for options in CONFIGURATION["contracts_options"]:
         contract = TYPES[options["type"]](options["name"], SESSION, options)
         if not contract.check(deepcopy(imports), verbose=False).kept:
@@ -88,7 +88,7 @@ def test_a_wrong_import_is_found(imports, importer, imported, contract) -> None:
 
 
 def test_a_circle_within_a_folder_is_found(imports: grimp.ImportGraph) -> None:
-    """And nothing else, as all contracts are kept without it."""
+    """Only this contract breaks, as all contracts are kept without the circle."""
     changed = deepcopy(imports)
     for one, other in (("one", "other"), ("other", "one")):
         changed.add_import(importer=f"ssac.track.{one}", imported=f"ssac.track.{other}")

@@ -1,8 +1,8 @@
-"""The HTML pages in a real browser: no message, no network, all by keyboard, and for all readers.
+"""Tests the HTML pages in a real browser: messages, requests, use by keyboard, accessibility.
 
 `make browser` installs what they need: Playwright's Python package, Chromium and axe; `make docs`
-builds the site. What is missing is skipped, with the reason, or fails where SSAC_BROWSER is
-"required", as in `.ci/run`.
+builds the site. A test whose tools are missing is skipped, with the reason, or fails where
+SSAC_BROWSER is "required", as in `.ci/run`.
 """
 
 import os
@@ -25,7 +25,7 @@ from tests.ssac.tracks import frame_track
 
 
 def missing(what: str, command: str = "browser") -> NoReturn:
-    """Skip, or fail where all could be installed."""
+    """Skip the test, or fail it where SSAC_BROWSER is "required"."""
     reason = f"needs {what}: make {command}"
     if os.environ.get("SSAC_BROWSER") == "required":
         pytest.fail(reason)
@@ -88,12 +88,12 @@ def pages(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]
 
 
 class Opened:
-    """A page in the browser, and what it said since, and asked for that is not its own."""
+    """A page in the browser, with its messages and its requests for addresses not its own."""
 
     def __init__(
         self, browser: Any, address: str, own: str, width: int = 1400, **looks: str
     ) -> None:
-        # Without its own policy, under which axe could not be put into it.
+        # The page's own content security policy is bypassed, as it would keep axe out.
         self.context = browser.new_context(
             viewport={"width": width, "height": 900}, bypass_csp=True, **looks
         )
@@ -118,7 +118,7 @@ class Opened:
         return self.page.locator(f'[data-part="{name}"]')
 
     def drawn(self, name: str) -> int:
-        """How many pixels of a canvas are not empty."""
+        """Count the pixels of a canvas that are not empty."""
         script = """canvas => canvas.getContext("2d").getImageData(0, 0, canvas.width,
             canvas.height).data.filter((value, i) => i % 4 === 3 && value).length"""
         return int(self.part(name).evaluate(script))
@@ -158,7 +158,7 @@ def test_the_player_runs_without_a_message_or_a_request(kind: str, opened: Any) 
         "before => document.querySelector('[data-part=\"time\"]').value !== before", arg=before
     )
     play.click()
-    page.page.emulate_media(reduced_motion="reduce")  # the offset jumps, and need not be waited for
+    page.page.emulate_media(reduced_motion="reduce")  # the offset jumps, without an animation
     if kind != "refused":
         means_px = []
         for button in ("before", "after"):
@@ -203,13 +203,13 @@ def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> 
 def test_all_readers_can_read_it(kind: str, width: int, scheme: str, opened: Any) -> None:
     if not AXE.exists():
         missing("axe")
-    # What moves would be drawn anew all the while that axe looks at it.
+    # Motion is reduced, as animations would be redrawn for as long as axe runs.
     page = opened(kind, width=width, color_scheme=scheme, reduced_motion="reduce")
     page.unfold()
     assert page.page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.messages == []
     page.page.evaluate(AXE.read_text(encoding="utf-8"))
-    # Without reading the styles again, which is forbidden to pages on a disk.
+    # No preload, as pages on a disk may not read their style sheets again.
     found = page.page.evaluate("axe.run(document, { resultTypes: ['violations'], preload: false })")
     said = [
         f"{one['id']}: {one['nodes'][0]['html'][:200]}: {one['nodes'][0]['failureSummary']}"
@@ -234,7 +234,7 @@ def test_a_figure_opens_and_closes_by_keyboard(kind: str, opened: Any) -> None:
     dialog.wait_for()
     page.page.keyboard.press("Escape")
     dialog.wait_for(state="detached")
-    # Links are called by the titles of their pages.
+    # Links show the titles of their pages, and not the names of files.
     assert not re.search(r"\bdocs/\w+\.md\b", page.page.locator("article").inner_text())
 
 

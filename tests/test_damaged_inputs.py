@@ -1,7 +1,7 @@
-"""Files of all kinds, damaged anywhere: refused in one line, read whole, or read with a warning.
+"""Tests that a damaged file is refused in one line, read whole, or read with a warning.
 
-`make fuzz` tries thousands of damages of each kind, here a few. A crash of a compiled reader ends
-the whole run.
+`make fuzz` tries thousands of damages of each kind, other runs a few. A crash of a compiled reader
+ends the whole run.
 """
 
 import json
@@ -33,12 +33,12 @@ from tests.recorded import kalibr_with_pose
 from tests.ssac.files.test_event_files import BAGS, FORMS, random_events
 
 MAX_SILENT = 0.005
-"""Share of the damages by which events may be lost unseen: a changed bit can make another event."""
+"""Largest share of damages that may lose events unseen, as a changed bit can make another event."""
 
 MAX_BYTES = 2 << 30
-"""Of memory, beyond what there was at the start."""
+"""Memory that the tests may use, beyond what the process used at the start."""
 
-WITHOUT_END = (".raw", ".dat", ".es", ".txt", ".csv")  # one that is cut is a shorter recording
+WITHOUT_END = (".raw", ".dat", ".es", ".txt", ".csv")  # if cut, a shorter recording
 TEXT = (".txt", ".csv", ".yaml", ".toml", ".obj", ".json")
 WORD = re.compile(rb"[^\s,:=\[\]{}]+")
 TWO_LINES = re.compile(rb"(.+\n?)(.*\n?)")
@@ -63,7 +63,7 @@ SIZES = (
 
 @st.composite
 def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
-    """Change a copy of a file; its start, where headers stand, as often as all else."""
+    """Change a copy of a file: its first 1000 bytes, with any headers, as often as the rest."""
     if is_text and draw(st.booleans()):
         if draw(st.booleans()):
             word = draw(st.sampled_from([*WORD.finditer(whole)]))
@@ -92,7 +92,7 @@ def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
 
 
 def restructure(draw: st.DrawFn, path: Path) -> None:
-    """Put something else in the place of a dataset, or of the size, of an HDF5 file."""
+    """Replace a dataset of an HDF5 file, or its sensor size, by something else."""
     with h5py.File(path, "a") as file:
         name = draw(st.sampled_from([name for name in IN_HDF5 if name in file]))
         what = draw(st.sampled_from(("size", "data", "declared")))
@@ -114,7 +114,7 @@ def restructure(draw: st.DrawFn, path: Path) -> None:
 
 
 Write = Callable[[Path], object]
-Use = Callable[[Path], object]  # gives how many events or points there are, or anything
+Use = Callable[[Path], object]  # returns the number of events or points, or anything else
 
 
 TIMES_S = np.arange(250) / 25.0
@@ -147,7 +147,7 @@ def use_row(path: Path) -> None:
 
 
 def use_means(path: Path) -> None:
-    """Find this file in the cache: the same means, or others in its place."""
+    """Put this file into the cache, which must return its means or compute them anew."""
     cache = Cache(path.parent / "cache")
     told = (cache.folder / "recordings" / "abcd", BRIGHTNESS_CODE, [*MEANS], lambda: MEANS)
     cache.told("brightness", *told)

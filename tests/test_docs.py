@@ -1,4 +1,4 @@
-"""The scripts of docs/ do what the pages say of them."""
+"""Tests that the scripts of docs/ do what the pages say about them."""
 
 import re
 import runpy
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.mark.render
 def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # What is tried of a recording that gives nothing takes long, and has tests of its own.
+    # The retries of a refused recording take long, and have tests of their own.
     monkeypatch.setattr(retries, "lies_elsewhere", lambda *_: False)
     monkeypatch.setattr(retries, "WAYS", ())
     runpy.run_path(str(ROOT / "docs" / "tour" / "tour.py"))
@@ -29,10 +29,10 @@ def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     assert "<script" in (tmp_path / "report.html").read_text(encoding="utf-8")
     plt.close("all")
     assert re.search(r"^status ok$", said, re.MULTILINE)
-    # 6 s of flight: a few times the mean error of `tangency` over 10 s.
+    # The bound for 6 s of flight is a few times the mean error of `tangency` over 10 s.
     assert float(re.findall(r"^offset off by ([\d.]+) ms", said, re.MULTILINE)[0]) < 0.5
     assert re.search(r"^ambiguous_offset\n\w", said, re.MULTILINE)
-    # Two bins of 5 ms: the drone's middle is not at one height for both cameras.
+    # Four bins of 5 ms: the drone's middle is not at one height for both cameras.
     assert float(re.findall(r"^heights: .* off by ([\d.]+) ms", said, re.MULTILINE)[0]) <= 20
 
 
@@ -51,9 +51,9 @@ def test_a_video_becomes_the_track_of_what_moves_in_it(tmp_path: Path) -> None:
     video.release()
     times_s, points_px = track_video.followed(tmp_path / "a.mp4", 12)
     seen = np.rint(times_s * fps).astype(int)
-    # All frames but those of the first second, in which the background is learnt.
+    # The frames of the first second are missing, as the background is learnt from them.
     assert seen.tolist() == list(range(30, 90))
-    # A mask of whole pixels, from a compressed video.
+    # The mask has whole pixels, and the video is compressed.
     assert np.abs(points_px - path_px[seen]).max() < 1.0
 
 

@@ -1,4 +1,4 @@
-"""The list of mutants follows the code; whether tests kill them, `.ci/mutants` says."""
+"""Tests that the list of mutants fits the code; `.ci/mutants` runs the tests that kill them."""
 
 import pytest
 

@@ -1,8 +1,8 @@
-"""One answer, whichever way it is asked for: the same bits for every recording and method.
+"""Tests that all ways to ask for an estimate give the same bits, for every recording and method.
 
-All ways are compared with the Python call. The command line makes a chain of its own from its
-options, and where that is of the same files, the same rig and the same configuration, it finds in
-it what the Python call left: nothing is estimated twice of what is the same to the last bit.
+All ways are compared with the Python call. The command line builds its own chain from its options.
+Where that has the same files, rig and configuration, it reuses the results of the Python call, so
+that nothing is estimated twice from inputs that are the same to the last bit.
 """
 
 import pickle
@@ -26,20 +26,20 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*all times are whole")
 
 ALL = tuple(method.name for method in OURS)
 FEW = ("joint", "tangency", "zncc_e")
-"""Of all kinds: the pose by tracks and by outlines, and the offset alone by signals."""
+"""One method of each kind: the pose by tracks or by outlines, and the offset alone by signals."""
 
 METHODS = {
     **dict.fromkeys(("ordinary", "without_pose", "known_extrinsics", "without_frames"), ALL),
     **dict.fromkeys(("tracks", "readout"), ALL),
     **dict.fromkeys(("people", "three_cameras_two_drones", "three_mixed"), FEW[:1]),
 }
-"""Those asked about a recording, where they are not FEW: all where methods need what some
-recordings lack, and one where objects take seconds to be told apart."""
+"""The methods to ask about a recording, if not FEW: all where methods need data that some
+recordings lack, and one where it takes seconds to separate the objects."""
 
 
 @pytest.fixture
 def found(monkeypatch: pytest.MonkeyPatch) -> dict[bytes, dict[Any, Any]]:
-    """What chains of the same files and rig find, which they share until it is cleared."""
+    """Results by files and rig, which the chains of these share until the test clears them."""
     of_chains, init = dict[bytes, dict[Any, Any]](), Chain.__init__
 
     def begun(chain: Chain, cameras: Any, rig: Any, *more: Any) -> None:
@@ -52,7 +52,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> dict[bytes, dict[Any, Any]]:
 
 
 def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
-    """Name the ways of a recording: what each must answer, by the Python call, and its answer."""
+    """Yield each way's name, the answer expected from the Python call, and its own answer."""
     if len(recorded.files) > 2:
         yield "network", of_pairs(recorded, method), answered(answers.by_network, recorded, method)
         return
@@ -65,8 +65,8 @@ def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
 
 
 def of_pairs(recorded: Recorded, method: str) -> dict[Any, Any]:
-    """Answer each pair of cameras alone; the first error is that of all."""
-    # One object is chosen for the whole rig, which may be another than a pair alone chooses.
+    """Answer each pair of cameras alone; if a pair is refused, return the first error alone."""
+    # The whole rig chooses one object, and a pair alone may choose another.
     is_one = recorded.name == "three_cameras_two_drones"
     alone = answers.by_chain if is_one else answers.by_python
     pairs = combinations(range(len(recorded.files)), 2)
@@ -80,7 +80,7 @@ def test_one_answer(name, tmp_path, found):
     # Matrices are so small that threads of BLAS only wait, which doubles the CPU time.
     with threadpool_limits(1):
         for method in METHODS.get(name, FEW):
-            found.clear()  # no method owes its answer to another
+            found.clear()  # so that no method reuses another's results
             different += [
                 f"{method}: {field}: {one} by Python, {other} by {way}"
                 for way, expected, answer in ways(recorded, method)
@@ -94,5 +94,5 @@ def test_one_answer(name, tmp_path, found):
             ended = run("sync", *recorded.files, "--rig", recorded.rig, "--json", out)
             result = ssac.sync([*recorded.files], recorded.rig)
             assert ended.exit_code == (result.status != "ok"), ended.stderr
-            assert ended.stdout.split() == result.summary().split()  # whose lines are folded
+            assert ended.stdout.split() == result.summary().split()  # as lines are folded
             assert list(differences(untimed(read_json(out)), untimed(result.to_dict()))) == []

@@ -1,4 +1,4 @@
-"""The pages say what is: folders, links, versions; and their lines fit."""
+"""Tests that the pages name the right folders, links and versions, and are short enough."""
 
 import re
 from pathlib import Path
@@ -13,11 +13,11 @@ MAX_WIDTH = 120
 README_LINES = 120
 PAGE_LINES = 200
 WORDS = 22_000
-"""Of all pages together, tables included: what somebody may still read."""
+"""Most words of all pages together, tables included, so that they can still be read."""
 
 _LINK = re.compile(r"\]\(([^)#\s]+)")
 _PATH = re.compile(r"`((?:sim|ssac|experiments|tests|docs)/[\w./-]*)`")
-_MADE = "results/"  # by commands; what must be there is `ssac verify`'s to say
+_MADE = "results/"  # files that commands make, and `ssac verify` checks
 
 
 def test_the_folders_of_the_architecture_are_those_there_are() -> None:
@@ -52,13 +52,13 @@ def test_links_lead_somewhere_and_lines_fit(page: Path) -> None:
         link for link in _LINK.findall(text) if not link.startswith("http") and _MADE not in link
     ]
     assert not [link for link in links if not (page.parent / link).exists()]
-    if page.name != "CHANGELOG.md":  # which may tell of what was
+    if page.name != "CHANGELOG.md":  # which may name paths of the past
         paths = [p for p in _PATH.findall(text) if "NAME" not in p]
         assert not [path for path in paths if not (ROOT / path).exists()]
     # A comment at the start of a line would end the paragraph and show the line as it is written.
     assert not re.findall(r"^ *<!--n:(?!table).*", text, re.MULTILINE)
-    # Without comments: the name of a quoted number is not shown, and its text may change. A row of
-    # a table cannot be broken.
+    # Comments do not count, as a quoted number's name is not shown and its text may change. Nor do
+    # rows of tables, which cannot be broken.
     lines = re.sub(r"<!--.*?-->", "", text).splitlines()
     assert not [one for one in lines if len(one) > MAX_WIDTH and not one.startswith("|")]
 

@@ -1,4 +1,4 @@
-"""What docs/security.md says, read off the code: nothing in a data file is ever run, or a path."""
+"""Tests the code for what docs/security.md says: nothing in a data file is ever executed."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""`make setup` on machines with other OpenGL libraries, of which commands in PATH act a part."""
+"""Tests `make setup` on machines with other OpenGL libraries, imitated by commands in PATH."""
 
 import os
 import shutil
@@ -9,14 +9,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# A Python that finds what `gl` names, and takes the rest as done: also when it is .venv's own.
+# A stand-in for Python: it finds the library that `gl` names, does no more, and is .venv's too.
 PYTHON = """
 case "$*" in
     *find_library*) cat "$MACHINE/gl" ;;
     *--clear*) mkdir -p .venv/bin && cp "$0" .venv/bin/python ;;
 esac
 """
-# An apt that installs packages in `offered`, and writes down what it installed.
+# A stand-in for apt-get: it installs packages in `offered`, and records them in `installed`.
 APT = """
 case "$*" in
     *install*) ;;
@@ -55,7 +55,7 @@ ROOT_ID, USER_ID = 0, 1000
          "nothing, no root"],
 )  # fmt: skip
 def test_what_is_lacking_is_installed_or_named(tmp_path, gl, offered, user, broken, installs, says):
-    """OSMesa comes first, and an EGL that works is enough; `installs` is None where it fails."""
+    """OSMesa is preferred, a working EGL suffices; `installs` is None where `make setup` fails."""
     folder = tmp_path
     tools = folder / "tools"
     tools.mkdir()

@@ -27,7 +27,7 @@ LENSES: dict[str, tuple[float, ...]] = {
 }
 
 
-# A second of a coarse recording: 60 ms.
+# A coarse recording of one second, which takes 60 ms to simulate.
 QUICK = SimConfig(
     spline=SplineConfig(duration_s=1.0),
     sampling=SamplingConfig(max_step_px=1.0),
@@ -62,7 +62,7 @@ def box_drone(size_m: tuple[float, float, float], albedo: float = 0.2) -> Drone:
 
 
 def painted(drone: Drone, albedo: float) -> Drone:
-    """The drone in one colour: where its parts cut into each other it looks the same as ever."""
+    """The drone in one colour, so that it does not matter which of two intersecting parts shows."""
     parts = (replace(part, albedo=np.full(len(part.faces), albedo)) for part in drone.parts)
     return replace(drone, parts=tuple(parts))
 
@@ -117,7 +117,7 @@ def smooth_video(n: int, height: int, width: int, seed: int = 0) -> NDArray[np.f
 def reference_levels(
     events: NDArray[Any], thresholds_on: Any, thresholds_off: Any, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """What the events add up to at each pixel, in log intensity."""
+    """Return the change of log intensity to which the events of each pixel add up."""
     change = np.zeros(shape)
     x, y = events["x"], events["y"]
     on, off = (np.broadcast_to(each, shape)[y, x] for each in (thresholds_on, thresholds_off))
@@ -126,7 +126,7 @@ def reference_levels(
 
 
 def counts(events: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Events of each pixel, row by row."""
+    """Count the events of each pixel, row by row."""
     return np.bincount(
         events["y"].astype(int) * shape[1] + events["x"], minlength=shape[0] * shape[1]
     )

@@ -1,4 +1,4 @@
-"""What is added to a recording fires where, when and as often as it says."""
+"""Tests that disturbances make events where, when and as often as their configuration says."""
 
 from dataclasses import replace
 
@@ -67,10 +67,10 @@ def test_one_disturbance_more_leaves_the_others_as_they_are() -> None:
 def test_a_lamp_is_a_square_that_flickers_at_100_hz() -> None:
     events = drawn(KINDS["lamp"])
     assert np.ptp(events["x"]) + 1 == np.ptp(events["y"]) + 1 == 6
-    # None is lost but what the jitter moves beyond the ends.
+    # Only events that the jitter moves beyond the ends are lost.
     assert len(events) == pytest.approx(36 * VIEW.duration_s * LAMP_HZ * 2 * LAMP_STEPS, rel=1e-3)
     phases = np.exp(2j * np.pi * LAMP_HZ * 1e-6 * events["t"][events["p"] == 1])
-    # Two steps a quarter of a cycle apart; the jitter takes 0.2 % of it.
+    # The two steps are a quarter of a cycle apart; the jitter lowers the mean by 0.2 %.
     assert abs(np.mean(phases)) == pytest.approx(np.cos(np.pi / 4), abs=0.01)
     assert np.mean(events["p"]) == pytest.approx(0.5, abs=1e-3)
 
@@ -114,9 +114,9 @@ def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself() -> None:
     np.testing.assert_array_equal(thinned(events, 1.0, 0, 0), events)
     times_us = [set(thinned(events, 0.1, 0, camera)["t"]) for camera in (0, 1)]
     expected = 0.1 * len(events)
-    # A draw for each event.
+    # Each event is kept or dropped by a draw of its own.
     assert len(thinned(events, 0.1, 0, 0)) == pytest.approx(expected, abs=5 * expected**0.5)
-    # Both keep one in a hundred; events that share a microsecond make it some more.
+    # Both keep one event in a hundred; events that share a microsecond add some times in common.
     assert len(times_us[0] & times_us[1]) < 0.3 * expected
     assert len({second_seed(seed) for seed in range(100)} | set(range(100))) == 200
 
@@ -166,7 +166,7 @@ def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
     assert sky.max() <= high * (1.0 + 1e-6)
     clear, white = np.mean(sky < 1.01 * low), np.mean(sky > 0.99 * high)
     assert min(clear, white) > 0.05
-    # A step over the border is one like any other.
+    # A step across the border is like any other step.
     for steps in (np.diff(sky, axis=0), np.diff(sky, axis=1)):
         across = sky[0] - sky[-1] if steps.shape[0] < 256 else sky[:, 0] - sky[:, -1]
         # Unrelated borders differ by some seven times as much; edges of clouds lie unevenly.
@@ -175,7 +175,7 @@ def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
 
 def test_clouds_twice_as_fast_make_twice_the_events_all_along() -> None:
     slow, fast = (clouds(SMALL_VIEW, speed, np.random.default_rng(7)) for speed in (4.0, 8.0))
-    # The same sky over half the way; what comes into view later differs from place to place.
+    # In its first half the fast sky moves as far as the slow one in all; later parts differ.
     first = fast[fast["t"] < 1e6]
     assert len(first) == pytest.approx(len(slow), rel=0.02)  # frames lie elsewhere
     # No burst at the start: pixels remember what they saw before.

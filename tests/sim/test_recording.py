@@ -55,7 +55,7 @@ def test_noise_differs_between_cameras_and_seeds() -> None:
 
 
 def test_events_and_frames_show_the_drone_where_it_was() -> None:
-    """On camera 1's clock, and on camera 2's with the offset taken off."""
+    """The scene's time is camera 1's, and camera 2's minus the offset."""
     recording = simulate(replace(QUICK, t_d_s=0.25, frames=FrameConfig(20.0, 0.002)), 2)
     truth = recording.truth
     for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
@@ -137,8 +137,8 @@ def test_progress_goes_from_0_to_1_and_the_backend_is_recorded() -> None:
 
 
 def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frames one by one, events in order; little of either is left for the end of a camera."""
-    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
+    """Frames come one by one and events in order; few of either are left for a camera's end."""
+    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # as there are few instants
     cameras: dict[str, list[tuple[str, Any]]] = {}
 
     def open_sink(camera: Camera, times_us: NDArray[np.int64], _: float) -> Any:

@@ -1,4 +1,4 @@
-"""What makes no sense is refused in one line that says what was expected, and what came."""
+"""Tests that invalid values are refused in one line that says what was expected, and what came."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -177,7 +177,7 @@ CASES: list[tuple[Callable[[], Any], str]] = [
         ({"distance_m": 0.5}, "reaches into the camera"),
     )),
     (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),
-    # In view and 100,000 px beside it; 4 m wide, 0.1 m before a lens of 5000 px.
+    # The drone, 4 m wide and 0.1 m before a lens of 5000 px, reaches 100,000 px beside the view.
     (lambda: footprint(box_drone((4.0, 0.05, 0.05)), two_view_rig(90.0, focal_px=5e3).cameras[0],
                        np.zeros(1), poses(np.array([[0.0, -4.9, 0.0]]))),
      "reaches into the camera"),

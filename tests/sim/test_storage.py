@@ -32,7 +32,7 @@ QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 def made_up_recording(
     n_events: int = 5000, n_frames: int = 4, first_us: int = -1_234_567, seed: int = 0
 ) -> Recording:
-    """Random events, frames and poses: what is written need not have been simulated."""
+    """Make a recording of random events, frames and poses, as no simulation is needed to write."""
     rng = np.random.default_rng(seed)
     rig = two_view_rig(
         70.0, t_d_s=T_D_S, distortion_model="radtan", distortion_coeffs=(-0.1, 0.01, 0.001, 0.0)
@@ -106,7 +106,7 @@ def test_rigs_are_read_back(tmp_path: Path) -> None:
     for read, made in zip((known.cam1, known.cam2), recording.rig.cameras, strict=True):
         np.testing.assert_array_equal(read.K, made.K)
         assert (read.width, read.height) == (made.width, made.height)
-        assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact: nothing is to be allowed for
+        assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact intrinsics
 
 
 def test_the_truth_is_complete(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_the_truth_is_complete(tmp_path: Path) -> None:
 def test_many_large_frames_are_not_waiting_for_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    """However few of them fit what may be in memory, they are the same frames."""
+    """The frames that are stored are the same, however few of them may be in memory at once."""
     monkeypatch.setattr(sim.storage, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
     recording = made_up_recording(n_frames=5)
     save_recording(recording, tmp_path / "out", {})

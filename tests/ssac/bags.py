@@ -33,10 +33,9 @@ def store(is_ros1):
 
 
 def write_bag(path, topics):
-    """Write a bag of the kind that the extension says: by topic, a type and its messages' fields.
+    """Write a bag in the format of the extension; each topic has a type and a list of messages.
 
-    Each message is a pair of a time [us] and fields; "array" of them, as `arrays` makes it, stands
-    for events.
+    Each message is a pair of a time [us] and a function that makes its fields from the bag's types.
     """
     is_ros1, is_alone = path.suffix == ".bag", path.suffix in (".mcap", ".db3")
     types = store(is_ros1)
@@ -50,7 +49,7 @@ def write_bag(path, topics):
             for t_us, fields in messages:
                 message = types.types[kind](header=_header(types, is_ros1, t_us), **fields(types))
                 serialize = types.serialize_ros1 if is_ros1 else types.serialize_cdr
-                # Written half a second later than it was recorded: no time of an event.
+                # A bag's own time is half a second later, so that it is no time of an event.
                 writer.write(connection, int(t_us * 1000) + 10**9 // 2, serialize(message, kind))
     (next(made.glob(f"*{path.suffix}")) if is_alone else made).replace(path)
     shutil.rmtree(made.parent)
@@ -68,7 +67,7 @@ def arrays(events, package="dvs_msgs"):
 
 
 def packets(encoding, data, is_bigendian=False):
-    """Messages of encoded events; of each the time [us] that it counts from, and its bytes."""
+    """Messages of encoded events; `data` holds the base time [us] and the bytes of each."""
 
     def fields(t_us, some, types):
         return {

@@ -1,4 +1,4 @@
-"""A body of balls that turns, and what is drawn of it."""
+"""A turning body that consists of balls, and its images."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,13 @@ BODY_M = np.array([
     [0.15, 0.11, 0.0, 0.04], [0.15, -0.11, 0.0, 0.04], [-0.15, 0.11, 0.0, 0.04],
     [-0.15, -0.11, 0.0, 0.04],
 ])  # fmt: skip
-"""Centre and radius of each. Those in the middle are above the arms, as of a drone."""
+"""Centre and radius of each ball. The balls in the middle are above the arms, as on a drone."""
 
 BALL_M = np.array([[0.0, 0.0, 0.0, 0.25]])
 
 
 def attitudes(times_s: Array, turning_deg_s: float) -> Rotation:
-    """Tilts that come and go, and a slow turn about the upright."""
+    """Attitudes that oscillate in tilt and turn steadily about the vertical."""
     tilt_deg = 15.0 * np.stack([np.sin(1.3 * times_s), np.cos(0.9 * times_s)], axis=1)
     yaw_deg = 20.0 + turning_deg_s * times_s
     # y is down in the frame of the first camera.
@@ -30,7 +30,7 @@ def attitudes(times_s: Array, turning_deg_s: float) -> Rotation:
 
 
 def moments_of(balls: Array, turns: Rotation) -> Array:
-    """Second moments (n, 3, 3) of all that the balls cover of an image."""
+    """Second moments (n, 3, 3) of the balls about the origin, each weighted by its image's area."""
     weights = balls[:, 3] ** 2
     flat = (balls[:, :3] * weights[:, None]).T @ balls[:, :3] / weights.sum()
     flat += np.eye(3) * 0.2 * np.sum(weights * balls[:, 3] ** 2) / weights.sum()
@@ -41,11 +41,11 @@ def moments_of(balls: Array, turns: Rotation) -> Array:
 def drawn_at(
     balls: Array, turns: Rotation, points: Array, focal_px: float, width: int
 ) -> tuple[NDArray[np.float32], Array, Array, Array]:
-    """Draw the body at points (n, 3) of the camera's frame, in which the turns are, too.
+    """Draw the body at points (n, 3) with attitudes `turns`, both in the camera's frame.
 
-    Gives the shares of pixels (n, width, width), where their first pixels are from the principal
-    point (n, 2), the centre of the area less the image of the origin (n, 2), and the area's second
-    moments xx, xy and yy (n, 3).
+    Return the covered share of each pixel (n, width, width), the first pixels relative to the
+    principal point (n, 2), the silhouette's centroid relative to the image of the body's origin
+    (n, 2), and the silhouette's central second moments xx, xy and yy (n, 3).
     """
     local = (np.arange(width * FINE) + 0.5) / FINE - 0.5
     u, v = np.meshgrid(local, local)

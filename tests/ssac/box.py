@@ -1,4 +1,4 @@
-"""A box that turns as it flies, as events of its corners in two views."""
+"""Events that the corners of a flying, turning box make in two views."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,8 +11,8 @@ CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def corners_m(scene, times_s, size_m):
-    """The box's corners (n, 8, 3) [m] in camera 1's frame; it turns about a skew axis."""
-    # The last corner sticks out, so that the box has no centre.
+    """The box's corners (n, 8, 3) [m] in camera 1's frame; the box turns about a skew axis."""
+    # The last corner sticks out, so that the box has no centre of symmetry.
     shape = 0.5 * size_m * CORNERS * [1.0, 0.4, 0.7]
     shape[-1] *= 1.6
     turns = Rotation.from_rotvec(np.outer(times_s, [0.3, 0.9, 0.5])).as_matrix()
@@ -26,8 +26,8 @@ def in_view(points_m, scene, view):
 def box_events(scene, seed, size_m=0.8, lopsided=0.0, scale=1):
     """Events of both cameras at the corners' pixels.
 
-    `lopsided`: how much more often the corners on one side of the box make events, the left side
-    in camera 1 and the top in camera 2. `scale`: pixels per pixel of the ordinary camera.
+    `lopsided`: share by which corners on one side of the box make more events, the side of positive
+    x in camera 1 and of positive y in camera 2. `scale`: pixels per pixel of the ordinary camera.
     """
     rng = np.random.default_rng((seed, 3))
     streams = []

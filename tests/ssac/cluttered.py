@@ -1,4 +1,4 @@
-"""Events of other things than the object, to be added to those of a camera."""
+"""Events of clutter, noise and further objects, to be added to those of a camera."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ def pixel_events(x: int, y: int, n: int, duration_us: int = 1_000_000) -> NDArra
 
 
 def lamp(x: int, y: int, size_px: int, duration_us: int) -> NDArray[np.void]:
-    """Events of a square lamp on the mains, an ON and an OFF event a flicker and pixel."""
+    """Events of a square lamp on the mains: one ON and one OFF event per flicker and pixel."""
     rng = np.random.default_rng(x + 1000 * y)
     n = round(2e-4 * duration_us)  # 100 flickers a second
     steps = np.linspace(0, duration_us, n, endpoint=False).astype(int)
@@ -40,7 +40,7 @@ def noise(width: int, height: int, hz: float, duration_us: int, seed: int = 0) -
 
 
 def noisy_flight(scene: Scene, t_d_s: float) -> list[Observation]:
-    """Observe a flight whose light flickers, by events and frames, with cameras that make noise."""
+    """Observe a flight in fluctuating light, by events and frames of cameras that make noise."""
     rng = np.random.default_rng(0)
     images = np.cumsum(rng.integers(0, 40, (300, 4, 5)), axis=0).astype(np.uint8)
     shares = rng.uniform(0.2, 1.0, round(scene.duration_s / 0.05) + 1)
@@ -60,13 +60,13 @@ T_D_S, DURATION_S, SIZE_M = 0.05, 8.0, 0.4
 
 
 def flight(seed, share=1.0, angle_deg=90.0):
-    """Events of both cameras of one flight, a share of the ordinary number."""
+    """Events of both cameras of one flight, at a share of the ordinary rate."""
     scene = make_scene(seed, angle_deg, DURATION_S)
     return make_events(scene, seed, T_D_S, 25_000.0 * share, SIZE_M)
 
 
 def mixed(*streams):
-    """One camera's events of several things, and which thing each is of."""
+    """Merge one camera's events of several things; also return the index of each event's thing."""
     events = np.concatenate(streams)
     thing = np.repeat(np.arange(len(streams)), [len(stream) for stream in streams])
     order = np.argsort(events["t"], kind="stable")

@@ -1,4 +1,4 @@
-"""A command line of `python -m ssac.cli`, run within the test."""
+"""Runs command lines of `python -m ssac.cli` within the test's process."""
 
 import io
 import json
@@ -20,7 +20,7 @@ class Run(NamedTuple):
 
 
 def run(*args: object) -> Run:
-    """Run it as on a screen that is wide enough for every row."""
+    """Run a command line as on a screen that is wide enough for every row."""
     out, err = io.StringIO(), io.StringIO()
     wide = patch.object(columns, "__defaults__", (sys.maxsize,))
     with redirect_stdout(out), redirect_stderr(err), wide:

@@ -19,7 +19,7 @@ from ssac.track.clean import Clean
 WIDTH, HEIGHT, FOCAL_PX = 346, 260, 200.0
 DISTANCE_M = 5.0  # from each camera to the point both look at
 K = np.array([[FOCAL_PX, 0.0, 173.0], [0.0, FOCAL_PX, 130.0], [0.0, 0.0, 1.0]])
-EXACT_PX = (0.0, 0.0, 0.0, 0.0)  # of intrinsics without error
+EXACT_PX = (0.0, 0.0, 0.0, 0.0)  # standard deviations of exact intrinsics
 CAMERA = Camera(K, WIDTH, HEIGHT, intrinsics_std_px=EXACT_PX)
 K2 = np.array([[250.0, 0.0, 165.0], [0.0, 235.0, 148.0], [0.0, 0.0, 1.0]])
 OTHER = Camera(K2, 340, 290, "radtan", (-0.12, 0.03, 0.001, -0.0015), EXACT_PX)
@@ -55,7 +55,7 @@ def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> 
     R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     target = np.array([0.0, 0.0, DISTANCE_M])
     t = target - R @ target  # both cameras see the target at (0, 0, DISTANCE_M)
-    # 0.4 s between knots and a multiplier of 4.5 m: about 180 px/s, in both views 94 % of the time.
+    # Knots 0.4 s apart and a multiplier of 4.5 m: about 180 px/s, in both views 94 % of the time.
     knots = 0.4 * np.arange(-5.0, duration_s / 0.4 + 6.0)
     control = target + rng.uniform(-4.5, 4.5, (len(knots) - 6, 3)) * [1.0, 0.7, 0.8]
     return Scene(R, t, BSpline(knots, control, 5), duration_s)
@@ -98,7 +98,7 @@ def make_events(
 def events_at(
     times_s: Array, points_px: Array, size: tuple[int, int] = (WIDTH, HEIGHT)
 ) -> NDArray[np.void]:
-    """OFF events at the pixels of points (n, 2), as far as these are in view."""
+    """OFF events at the pixels of those points (n, 2) that are in view."""
     pixels = np.rint(points_px)
     seen = np.all((pixels >= 0) & (pixels < size), axis=1)
     events = np.zeros(int(seen.sum()), EVENT_DTYPE)
@@ -115,7 +115,7 @@ def clocked(events: NDArray[np.void], clock: Callable[[Array], Array]) -> NDArra
 
 
 def denoised(events: NDArray[np.void], camera: Camera = CAMERA) -> Clean:
-    """Events that hold no noise, as if denoising had taken it."""
+    """Wrap events without noise as if they had been denoised."""
     return Clean(events, camera=camera, denoised=True, n_recorded=len(events))
 
 

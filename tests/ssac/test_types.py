@@ -1,4 +1,4 @@
-"""What all stages share: events, cameras, clocks, estimates, and rules."""
+"""Tests the types that all stages share: events, cameras, clocks, estimates, and rules."""
 
 import ast
 from dataclasses import fields, is_dataclass, replace
@@ -142,7 +142,7 @@ def test_distorting_undoes_undistorting_and_the_other_way_round(model, coeffs):
     back_and_there = undistort_points(camera, distort_points(camera, points))
     # The inverse magnifies the round trip's error by no more than 10 for these lenses.
     np.testing.assert_allclose(back_and_there, POINTS, rtol=0, atol=10 * MAX_ROUND_TRIP_PX)
-    np.testing.assert_array_equal(points, POINTS)  # as they were given
+    np.testing.assert_array_equal(points, POINTS)  # the argument is unchanged
     if model == "none":
         np.testing.assert_array_equal(undistort_points(camera, points), POINTS)
         np.testing.assert_array_equal(distort_points(camera, points), POINTS)
@@ -152,11 +152,11 @@ def test_distorting_undoes_undistorting_and_the_other_way_round(model, coeffs):
 
 @pytest.mark.parametrize(("model", "coeffs"), [LENSES[1], LENSES[4]])
 def test_the_simulator_has_the_same_models(model, coeffs):
-    """It writes Kalibr's formulas out."""
+    """The simulator writes out Kalibr's formulas itself."""
     simulated = SimulatedCamera("cam1", K, 346, 260, model, coeffs, np.eye(4), 0.0)
     points_m = np.column_stack([POINTS, np.ones(len(POINTS))]) @ np.linalg.inv(K).T
     measured = distort_points(_camera(model, coeffs), POINTS)
-    # The same formula in another order of operations.
+    # The tolerance is the rounding of one formula in two orders of operations.
     np.testing.assert_allclose(measured, simulated.project(points_m), rtol=0, atol=1e-9)
 
 
@@ -168,7 +168,7 @@ def test_the_principal_point_and_the_map_agree_with_the_points(model, coeffs):
     pixels = np.array([[0.0, 0.0], [345.0, 259.0], [10.0, 200.0]])
     looked_up = table[pixels[:, 1].astype(int), pixels[:, 0].astype(int)]
     np.testing.assert_array_equal(looked_up, undistort_points(camera, pixels))
-    # The optical axis is where it is, whatever the radial distortion (p1, p2 vanish there too).
+    # Radial distortion does not move the optical axis, nor do p1 and p2.
     np.testing.assert_allclose(table[130, 173], (173, 130), rtol=0, atol=MAX_ROUND_TRIP_PX)
 
 
@@ -232,7 +232,7 @@ def test_times_come_back_and_swapped_cameras_have_the_inverse_clock(clock):
         (inverse.cam2_from_cam1(TIMES_S), back_s),
         (inverse.cam1_from_cam2(TIMES_S), shown_s),
     ):
-        # Rounding at 150 s.
+        # The tolerance is the rounding of times of about 150 s.
         np.testing.assert_allclose(found_s, expected_s, rtol=0, atol=2e-13)
 
 
@@ -257,7 +257,7 @@ BY_STAGE = (
     ("refine", "no_convergence", "clock_jump"),
     ("verdict", "no_match", "poor_fit", "ambiguous_offset", "degenerate_pose", "ambiguous_pose"),
 )  # fmt: skip
-"""The stage that is the last to give a status, or the only one."""
+"""Each stage, and the statuses for which it is the last stage, or the only one, to give them."""
 
 
 def test_a_status_is_its_word_with_a_sentence_in_the_order_of_the_stages():
@@ -332,7 +332,7 @@ def other(value):
 
 
 def changed(group, name, value):
-    """A group of rules, one of which, by its dotted name, is another."""
+    """Return a group of rules in which the rule of this dotted name has another value."""
     part, _, rest = name.partition(".")
     return replace(group, **{part: changed(getattr(group, part), rest, value) if rest else value})
 
@@ -352,7 +352,7 @@ def test_a_sweep_sets_a_rule_by_its_dotted_name_and_one_that_makes_no_sense_is_n
     value = RULES[name]
     _, config = configs_of({f"ssac.rules.{name}": other(value)})
     assert checked(config).rules == with_rule(name, other(value)).rules != Rules()
-    assert hash(config) != hash(Config())  # what was found under other rules is not taken for it
+    assert hash(config) != hash(Config())  # so results under other rules are not reused
     for wrong in (None, "many", [value], *(() if isinstance(value, bool) else (np.nan, True))):
         if isinstance(value, tuple) and not isinstance(wrong, list):
             wrong = (wrong, *value[1:])
@@ -371,7 +371,7 @@ def test_rules_of_another_kind_are_refused_and_any_number_is_taken():
 
 
 def test_a_stage_has_no_rules_but_those_of_its_config():
-    """Nothing but the config makes rules, and each of them is read somewhere."""
+    """Only the config makes rules, and each rule is read somewhere."""
     made, read = set(), set()
     for path in Path(ssac.__file__).parent.rglob("*.py"):
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
@@ -379,7 +379,7 @@ def test_a_stage_has_no_rules_but_those_of_its_config():
         called = [node.func for node in nodes if isinstance(node, ast.Call)]
         if any(isinstance(one, ast.Name) and one.id.endswith("Rules") for one in called):
             made.add(path.name)
-    # Functions that people call without a config: of two paths, and of a faint object.
+    # align.py and faint.py have functions that people call without a config.
     assert made == {"rules.py", "align.py", "faint.py"}
     assert {name.rpartition(".")[2] for name in RULES} <= read
 
@@ -399,6 +399,6 @@ def test_a_stage_has_no_rules_but_those_of_its_config():
     ],
 )
 def test_what_was_found_by_other_rules_is_not_given(rule, value, method, chain):
-    """Of one chain, whose memory the answers share."""
+    """Both answers are of one chain, and share its cache."""
     by_others = chain.under(with_rule(rule, value)).estimate(method)
     assert repr(by_others) != repr(chain.estimate(method))

@@ -1,4 +1,4 @@
-"""Two frame cameras' tracks of one flight, of our own making, and their files."""
+"""Synthetic tracks of one flight by two frame cameras, and their files."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=
     """Label each frame in which the object is in the image.
 
     The clock shows rate (t + offset) at the flight's time t; row y is exposed readout y / (h - 1)
-    after the frame's time.
+    after the frame's time, for an image of height h.
     """
     shown_s = np.arange(0.0, scene.duration_s, 1.0 / fps) + 0.37 / fps  # frames are free-running
 
@@ -26,7 +26,7 @@ def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=
         return project(points if camera == 1 else points @ scene.R.T + scene.t)
 
     points = seen(shown_s)
-    for _ in range(4):  # the row that it is in says when it is exposed
+    for _ in range(4):  # the object's row decides when it is exposed
         points = seen(shown_s + readout_s * points[:, 1] / (HEIGHT - 1))
     points = points + np.random.default_rng(seed).normal(0.0, NOISE_PX, points.shape)
     inside = np.all((points >= 0.0) & (points <= [WIDTH - 1, HEIGHT - 1]), axis=1)

@@ -1,4 +1,4 @@
-"""Lens, readout and frames; presets; what a seed draws; recordings with effects."""
+"""Tests a camera's lens, readout and frames, its presets and seeds, and recordings with effects."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ def camera_of(
 def test_a_point_is_spread_by_the_blur(blur_px: float) -> None:
     weights = point_spread(blur_px)
     at = np.arange(len(weights)) - len(weights) // 2
-    # What lies beyond four deviations, and so two whole pixels of 0.5 px, is cut off.
+    # Light beyond four deviations is cut off, which is two whole pixels for a blur of 0.5 px.
     assert (weights * at**2).sum() == pytest.approx(blur_px**2, rel=0.02)
     point = np.zeros((41, 51), np.float32)
     point[20, 25] = 1.0
@@ -64,7 +64,7 @@ def test_frames_have_noise_that_grows_with_the_light() -> None:
         take(k, np.full((200, 300), level, np.uint8))
     for level, frame in zip((64, 128, 192), frames[1:], strict=True):
         expected = 255.0 * np.sqrt(0.008**2 + level / 255.0 / 2000.0)
-        # 60,000 pixels; rounding to whole levels adds a twelfth.
+        # There are 60,000 pixels; rounding to whole levels adds a variance of 1/12.
         assert frame.std() == pytest.approx(np.hypot(expected, 12**-0.5), rel=0.03)
         assert frame.mean() == pytest.approx(level, abs=0.1)
     assert frames[0].min() == 0  # nothing is darker than black
@@ -89,7 +89,7 @@ def test_phases_of_frames_differ_between_cameras() -> None:
     starts_s = np.array(
         [[camera_of(effects, config, i, seed).frame_start_s for i in (0, 1)] for seed in range(200)]
     )
-    # Evenly over the period of 40 ms: 200 draws, of deviation 11.5 ms, for each camera.
+    # Phases are uniform over the period of 40 ms: 200 draws, of deviation 11.5 ms, per camera.
     assert starts_s.min() >= 0.0
     assert starts_s.max() < 0.04
     np.testing.assert_allclose(starts_s.mean(axis=0), 0.02, atol=5 * 0.0115 / 200**0.5)
@@ -100,12 +100,12 @@ def test_a_configuration_without_effects_is_written_as_before() -> None:
     assert "effects" not in plain(SimConfig())
     acting = plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]
     assert acting["blur_px"] == 0.5
-    assert "scan_s" not in acting  # which is newer than results that state their configuration
+    assert "scan_s" not in acting  # an effect that older results do not state
     assert plain(SensorEffects(scan_s=1e-3))["scan_s"] == 1e-3
 
 
 def test_an_effect_leaves_what_is_not_its_own() -> None:
-    """Sensors draw from streams of their own: less light in camera 2 is none in camera 1."""
+    """Each sensor draws from its own stream: less light in camera 2 does not affect camera 1."""
     effects = SensorEffects(illuminance_lux=50.0, cutoff_hz_per_lux=30.0)
     one, two, with_gaps = (
         simulate(replace(SHORT, effects=each), 0)
@@ -137,7 +137,7 @@ def events_at(times_us: NDArray[Any]) -> NDArray[Any]:
 def test_a_burst_is_stamped_late_and_then_dropped() -> None:
     burst = events_at(np.full(1000, 5000))
     delivered = queued(burst, readout_hz=1e5, queue=299)
-    # One is read out, as many wait as may, the others are lost; 10 us each.
+    # One event is read out, 299 wait in the queue, the others are lost; a readout takes 10 us.
     np.testing.assert_array_equal(delivered["t"], 5000 + 10 * np.arange(300))
     np.testing.assert_array_equal(delivered["x"], burst["x"][:300])
 
@@ -178,7 +178,7 @@ def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s: 
     waited_us = stamped["t"] - events["t"]
     assert waited_us.min() >= 0
     assert waited_us.max() <= np.ceil(1e6 * scan_s)
-    # Evenly over a period, of 5000 draws.
+    # The 5000 waits are uniform over a period.
     assert waited_us.mean() == pytest.approx(5e5 * scan_s, rel=5 / 8660**0.5 + 0.005)
 
 

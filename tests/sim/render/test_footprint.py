@@ -1,4 +1,4 @@
-"""Where a drone's outline lies in a camera, how far it moves, and the instants that follow."""
+"""Tests where a drone's outline lies in an image, how far it moves, and the chosen instants."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ RIGS = {
 def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str) -> None:
     camera, times_s = RIGS[lens].cameras[0], np.linspace(0.0, 1.0, 600)
     T_W_B = straight(times_s, (-8.0, 0.0, 0.0), (16.0, 0.0, 0.0))
-    seen = footprint(quadrotor(), camera, times_s, T_W_B)  # more than are projected at a time
+    seen = footprint(quadrotor(), camera, times_s, T_W_B)  # more poses than one batch
     entered = int(np.argmax(seen.visible))
     left = len(seen.visible) - int(np.argmax(seen.visible[::-1]))
     assert 0 < entered < left < 600
@@ -31,8 +31,8 @@ def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str
     moved_px = seen.moved_px[entered + 1 : left]
     assert (moved_px > 0.0).all()
     if lens == "none":
-        # All points are as fast; in the image those nearest to the camera are the fastest, which
-        # is f v / z with the least depth.
+        # All points have one speed v; in the image those nearest to the camera move fastest, at
+        # f v / z with the least depth z.
         expected_px = camera.K[0, 0] * 16.0 / 599 / seen.depth_m[entered + 1 : left, 0]
         np.testing.assert_allclose(moved_px, expected_px, rtol=1e-9)
 

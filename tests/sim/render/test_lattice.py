@@ -16,7 +16,7 @@ def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
 
 
 def positions_px(lattice: Lattice, q: np.ndarray) -> np.ndarray:
-    """Where in the image samples lie, as the vertex shader puts them: q = A p + centre."""
+    """Image positions of samples, by the formula of the vertex shader: q = A p + centre."""
     return np.linalg.solve(lattice.A, (q - lattice.centre).T).T
 
 
@@ -26,7 +26,7 @@ def test_every_sample_belongs_to_exactly_one_pixel(lattice: Lattice) -> None:
     assert {len(pixel) for pixel in block} == {lattice.a**2 + lattice.b**2}
     owned = np.concatenate(block)
     assert len(np.unique(owned, axis=0)) == len(owned)
-    # No sample of the middle of the block was left out.
+    # No sample in the middle of the block is left out.
     reach = np.arange(-4 * lattice.a, 4 * lattice.a + 1)
     everywhere = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     middle = everywhere[np.abs(np.linalg.solve(lattice.A, everywhere.T)).max(axis=0) < 2.0]

@@ -1,4 +1,4 @@
-"""What a renderer draws is what OpenGL, the other renderer and geometry say, batch by batch."""
+"""Tests the renderers' images against OpenGL, each other and geometry, also batch by batch."""
 
 import ctypes.util
 import os
@@ -45,9 +45,9 @@ from tests.sim.scenes import (
 pytestmark = pytest.mark.render
 
 HALF_VGA = (173, 130)  # a quarter of the default number of pixels, for speed
-# A hull seen from outside hides nothing of itself, whatever the depth buffer's rounding.
+# The visible faces of a convex hull do not hide each other, whatever the rounding of depths.
 BOX = box_drone((0.7, 0.5, 0.3))
-# Its parts cut into each other: which one a sample sees there depends on the rounding of depths.
+# Its parts intersect, and which part a sample sees there depends on the rounding of depths.
 QUADROTOR = quadrotor(rotor_hz=7.0)
 
 each_renderer = pytest.mark.parametrize("renderer", RENDERERS)
@@ -58,7 +58,7 @@ def unchecked(renderer: str = "pyrender", a: int = 16, b: int = 1, **light: Any)
 
 
 def drawn(*scene: Any) -> Image:
-    """Draw whole images of a drone, a camera, times, poses and a background, by a config."""
+    """Draw whole images of a scene: drone, camera, times, poses, background and config."""
     drone, camera, times_s, T_W_B, background, config = scene
     with Renderer(drone, config) as renderer:
         crops = renderer.crops(camera, times_s, T_W_B, background)
@@ -66,7 +66,7 @@ def drawn(*scene: Any) -> Image:
 
 
 def full_frames(*scene: Any) -> Image:
-    """Draw the same by OpenGL, a whole frame at a time."""
+    """Draw the same images by OpenGL, a whole frame at a time."""
     drone, camera, times_s, T_W_B, background, config = scene
     painter, seen = GLPainter(drone, config), footprint(drone, camera, times_s, T_W_B)
     seen.boxes[:] = 0, 0, camera.width, camera.height
@@ -106,7 +106,7 @@ def test_batches_do_not_show(lens: str, renderer: str, monkeypatch: pytest.Monke
 
 @each_renderer
 def test_memory_stays_flat(renderer: str) -> None:
-    """Under OSMesa pyrender loses 3 MB with every frame."""
+    """Under OSMesa pyrender leaks 3 MB with every frame."""
     camera = make_camera(resolution=HALF_VGA)
     n = 5_000
     times_s = np.linspace(0.0, 1.0, n)
@@ -138,7 +138,7 @@ def test_a_small_drone_lies_where_the_camera_projects_it(lens: str, renderer: st
     mass = light.sum(axis=(1, 2))
     x = (light.sum(axis=1) @ np.arange(camera.width)) / mass
     y = (light.sum(axis=2) @ np.arange(camera.height)) / mass
-    # Some 1,500 samples, 1/16 px apart, see it; and near one side of a cube is larger than the far.
+    # Some 1,500 samples, 1/16 px apart, see the drone, and its nearer side appears larger.
     error_px = np.stack([x, y], axis=-1) - camera.project(T_W_B[:, :3, 3])
     assert np.abs(error_px).max() < 0.05
     assert np.abs(error_px.mean(axis=0)).max() < 0.005  # no constant shift
@@ -146,7 +146,7 @@ def test_a_small_drone_lies_where_the_camera_projects_it(lens: str, renderer: st
 
 @each_renderer
 def test_leaving_and_entering_are_seen_as_a_change(renderer: str) -> None:
-    """The instants without the drone next to those with it are crops too, of pure background."""
+    """An instant without the drone next to one with it is a crop too, of pure background."""
     camera = make_camera()
     times_s = np.arange(12.0)
     x_m = np.array([9, 9, 9, 1, 0, 9, 9, 9, 9, 1, 9, 9.0])
@@ -196,7 +196,7 @@ def test_the_silhouette_is_all_that_the_hulls_of_its_pieces_cover(
                 covered[at] |= np.all(inside, axis=0)
         shares = covered.reshape(camera.height, a, camera.width, a).mean(axis=(1, 3))
         assert shares.sum() > 20  # px
-        # Corners are rounded to 1/256 of a sample: seldom one beside an edge changes sides.
+        # Corners are rounded to 1/256 of a sample: a sample beside an edge seldom changes sides.
         assert np.abs(image - shares).sum() * a**2 <= 2 + 1e-4 * covered.sum()
 
 
@@ -262,7 +262,7 @@ def test_same_pixels_as_in_a_full_frame(
 
 
 def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels() -> None:
-    """As near to the native renderer as this one: they are one rasteriser, compiled twice."""
+    """Both are equally near to the native renderer, as they are one rasteriser, compiled twice."""
     (other,) = set(BACKENDS) - {open_context().backend}
     if not ctypes.util.find_library(BACKENDS[other]):
         pytest.skip(f"this machine has no {BACKENDS[other]}")
@@ -306,7 +306,7 @@ def test_osmesa_comes_first_and_egl_next(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_library_that_does_not_load(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A driver that is asked for by name and missing, or broken, is one clear line."""
+    """A driver that is asked for by name, but missing or broken, is refused in one clear line."""
     monkeypatch.setenv("PYOPENGL_PLATFORM", backend)
     monkeypatch.setitem(sys.modules, "OpenGL.contextdata", None)
     said = rf"^cannot open a GL context with {backend} \(.*: install libosmesa6, or libegl1 .*$"
@@ -332,8 +332,8 @@ def test_draws_what_opengl_draws(drone: Drone, a: int, b: int, lens: str) -> Non
     difference = np.abs(ours.astype(np.float64) - theirs)
     shown = (theirs != background).sum()
     assert shown > 500
-    # Corners rounded from double or from single precision to 1/256 of a sample: with 16 samples
-    # along a pixel, some 3 in 100 pixels have a sample that changes sides.
+    # One renderer rounds corners from double, the other from single precision, to 1/256 of a
+    # sample: with 16 samples along a pixel, some 3 in 100 pixels have a sample that changes sides.
     assert (difference > 1e-4).sum() < 0.05 * shown
     # A code is 1/65535; a pixel has few samples that change.
     assert difference.max() < 4 / (a**2 + b**2)
@@ -354,7 +354,7 @@ def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
 
 
 def test_edges_along_the_lattice_pass_the_check() -> None:
-    """Rounded to the other side, they take a row of samples along in each pixel that they pass."""
+    """An edge rounded to the other side changes a row of samples in each pixel that it passes."""
     camera = make_camera()
     times_s = np.linspace(0.0, 1.0, 25)
     for start, step in (((-0.5, 0.0, 0.2), (1.0, 0.0, 0.0)), ((0.0, -2.0, 0.0), (0.0, 1.0, 0.0))):

@@ -64,7 +64,7 @@ def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None
     corners = np.unique(part.vertices_B_m, axis=0)
     to_image_m, _ = cKDTree(corners).query(corners * mirror)
     assert to_image_m.max() < 1e-12  # round-off
-    # Every piece has a mirror image: as many corners do not suffice when blades stand askew.
+    # Every piece has a mirror image: matching corners do not suffice when blades stand askew.
     pieces = as_mesh(part).split()
     centres = np.array([piece.center_mass for piece in pieces])
     volumes = np.array([piece.volume for piece in pieces])
@@ -74,7 +74,7 @@ def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None
 
 
 def test_two_tone_is_what_it_was() -> None:
-    # Figures of the mesh when it was the default: a change of it moves results of other names.
+    # Recorded figures of the mesh: a change of the mesh would change results under other names.
     part = two_tone(1.0).parts[0]
     triangles = part.vertices_B_m[part.faces]
     sides = triangles[:, 1:] - triangles[:, :1]
@@ -145,7 +145,7 @@ def test_colours_become_linear_luminance(
     box = trimesh.creation.box()
     box.visual.face_colors = (*rgb, 255)
     (part,) = from_file(box, tmp_path / f"box{suffix}").parts
-    np.testing.assert_allclose(part.albedo, light, atol=5e-5)  # its last digit
+    np.testing.assert_allclose(part.albedo, light, atol=5e-5)  # the expected light's last digit
 
 
 def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:

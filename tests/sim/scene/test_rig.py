@@ -22,7 +22,7 @@ lenses = pytest.mark.parametrize("lens", LENSES)
 def test_origin_projects_to_the_principal_point_of_every_camera(lens: str) -> None:
     angles_deg, coeffs = (0, 30, 90, 150, 260), LENSES[lens]
     for camera in look_at_rig(angles_deg, distortion_model=lens, distortion_coeffs=coeffs).cameras:
-        # cos(90 deg) is 6e-17, times 5 m and 200 px.
+        # The error is that of cos(90 deg), 6e-17, times 5 m and 200 px.
         np.testing.assert_allclose(camera.project(np.zeros(3)), (173, 130), atol=1e-12)
 
 
@@ -86,7 +86,7 @@ def test_points_behind_the_camera_have_no_image(lens: str) -> None:
 def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
     # r (1 - 0.1 r^2) turns at r = 1.83 and is 0 again at r = 3.16, the middle of the image.
     camera = replace(make_camera("radtan"), distortion_coeffs=(-0.1, 0.0, 0.0, 0.0))
-    assert np.tan(camera.field_angle_rad) == pytest.approx(1.826, rel=0.02)  # its grid's step
+    assert np.tan(camera.field_angle_rad) == pytest.approx(1.826, rel=0.02)  # the step of its grid
     assert np.isfinite(camera.project(np.array([5 * 1.7, 0.0, 0.0]))).all()
     assert np.isnan(camera.project(np.array([5 * 3.16, 0.0, 0.0]))).all()
 
@@ -128,11 +128,11 @@ def test_images_are_srgb(tmp_path: Path, dtype: type) -> None:
     assert light[0, 0] == 0.0
     assert light[-1, -1] == 1.0
     middle = np.abs(srgb / full - 0.5).argmin()
-    # sRGB 0.5 is linear 0.214; steps of 1/255, of slope 0.9 there.
+    # sRGB 0.5 is linear 0.214; codes are 1/255 apart, and the slope there is 0.9.
     assert light.flat[middle] == pytest.approx(0.2140, abs=2e-3)
     steps = np.diff(light.ravel())
     assert (steps >= 0).all()
-    # The line near black and the power meet: nowhere steeper than at white, where it is 2.28.
+    # The line near black and the power law meet; the slope is steepest at white, where it is 2.28.
     assert steps.max() <= 2.3 * np.diff(srgb.ravel().astype(float)).max() / full
 
 

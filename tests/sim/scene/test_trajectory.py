@@ -45,7 +45,7 @@ def test_third_derivative_is_continuous_and_fourth_is_not() -> None:
         curve = position.derivative(derivative) if derivative else position
         jump = np.abs(curve(knots + 1e-9) - curve(knots - 1e-9)).max()
         scale = np.abs(curve(knots)).max()
-        # 2e-9 s of the next derivative (itself some 10 times larger) for the continuous ones.
+        # A continuous derivative changes by 2e-9 s of the next one, some 10 times as large.
         assert (jump < 1e-6 * scale) == (derivative < 4)
 
 
@@ -72,7 +72,7 @@ def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright() -> None
     T_W_B = flights(10, SplineConfig())
     # Between the instants at which the radius is checked (50 ms) the path bulges by millimetres.
     assert radius_m(T_W_B[:, :3, 3]) < 4.01
-    # Narrower than usual, so that some of the first draws leave it.
+    # This circle is narrower than usual, so that some of the first draws leave it.
     assert radius_m(flights(8, replace(SHORT, max_radius_m=3.0))[:, :3, 3]) < 3.01
     tilt_deg = np.rad2deg(np.arccos(T_W_B[:, 2, 2]))
     assert tilt_deg.max() < 40
@@ -94,12 +94,12 @@ def test_a_long_spline_is_fitted_as_a_short_one_is(
 
 
 def test_an_hour_is_flown_within_the_circle() -> None:
-    """It ended in a MemoryError, and would have left the circle in every draw of the whole."""
+    """Dense matrices would exhaust memory, and every draw of the whole would leave the circle."""
     hour = spline(0, SplineConfig(duration_s=3600.0))
     path = hour.position(np.linspace(0, 3600, 360_000))
     # As above: the bulge between two instants of the check.
     assert radius_m(path) < 4.01
-    # It is as spread out as short flights are.
+    # The hour's path is as spread out as short flights are.
     short = spline(0, SplineConfig()).position(np.linspace(0, 20, 2000))
     np.testing.assert_allclose(path.std(axis=0), short.std(axis=0), rtol=0.3)
 

@@ -1,4 +1,4 @@
-"""Events are what thresholds, a real pixel's flaws and noise make of light, whole or in crops."""
+"""Tests the events that thresholds, effects of real pixels and noise make of frames or crops."""
 
 from dataclasses import replace
 from typing import Any
@@ -16,11 +16,11 @@ EPS = 1e-3
 SHAPE = (50, 60)
 FLICKER_RAD = 1.0  # away from crests, where a threshold may just be reached or not
 IDEAL = SensorConfig()
-# The general loop in place of the one for ideal pixels, with noise too rare to be seen.
+# The general loop in place of the one for ideal pixels, by a dead time too short to matter.
 SLOW = SensorConfig(refractory_s=1e-15)
 QUIET = SensorConfig(threshold_on=20.0, threshold_off=20.0)  # only noise makes events
 FINE = SensorConfig(threshold_on=0.02, threshold_off=0.02)
-# Pixels with effects in place of those without, with an effect too small to be seen.
+# Pixels with effects in place of pixels without, by a latency too short to matter.
 FAINT = SensorEffects(latency_s=1e-12)
 
 Effects = SensorEffects | None
@@ -37,7 +37,7 @@ def sensor_of(
     time_s: float = 0.0,
     background: NDArray[np.float32] | None = None,
 ) -> Sensor:
-    """Pixels with effects or without."""
+    """Make a sensor, whose pixels have effects unless these are None."""
     first = image.astype(np.float32)
     about = (first, time_s, rng(1), first if background is None else background)
     if effects is None:
@@ -64,12 +64,12 @@ def still_events(
     effects: Effects = None,
     shape: tuple[int, int] = SHAPE,
 ) -> NDArray[Any]:
-    """Events of pixels that see one and the same light all along."""
+    """Events of pixels that see constant light."""
     return sensor_of(np.full(shape, light), config, effects).finish(duration_s)
 
 
 def feed(sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any]) -> None:
-    """Whole images."""
+    """Feed whole images to a sensor."""
     zeros = np.zeros(len(times_s), np.int64)
     sensor.feed(times_s, zeros, zeros, video)
 
@@ -86,7 +86,7 @@ def by_pixel(events: NDArray[Any]) -> NDArray[Any]:
 
 
 def gaps_us(events: NDArray[Any]) -> NDArray[np.int64]:
-    """Between two events of one pixel that follow each other."""
+    """Intervals between consecutive events of the same pixel."""
     y, x, t = (np.diff(by_pixel(events)[name].astype(np.int64)) for name in "yxt")
     return t[(y == 0) & (x == 0)]
 
@@ -104,9 +104,9 @@ def assert_poisson(count: int, expected: float) -> None:
     SensorConfig(threshold_mismatch=0.05),
 ])  # fmt: skip
 def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
-    """Each pixel by its own threshold, the same at all times.
+    """Each pixel has its own thresholds, which are constant in time.
 
-    The event buffer starts with room for 65,536, which is less than fine thresholds need.
+    The event buffer starts with room for 65,536 events, which is less than fine thresholds need.
     """
     video, times_s = smooth_video(60, 20, 30), 0.001 * np.arange(60)
     given = video.copy()
@@ -114,7 +114,7 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
     on, off = config.threshold_on, config.threshold_off
     if config.threshold_mismatch:
         on, off = np.log(sensor._up), -np.log(sensor._down)
-        # 600 draws of each: 5 standard errors.
+        # The tolerances are 5 standard errors of 600 draws.
         assert on.mean() == pytest.approx(0.25, abs=5 * 0.05 / 600**0.5)
         assert on.std() == pytest.approx(0.05, rel=5 / 1200**0.5)
         assert abs(np.corrcoef(on.ravel(), off.ravel())[0, 1]) < 5 / 600**0.5
@@ -123,10 +123,10 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
     np.testing.assert_array_equal(video, given)
     log_light = np.log(video.astype(np.float64) + EPS)
     for k in range(60):
-        # Times are rounded to 1 us: those up to half of it later belong to the instant.
+        # Times are rounded to 1 us, so events up to 0.5 us after the instant belong to it.
         before = events[events["t"] <= 1000 * k]
         error = log_light[k] - log_light[0] - reference_levels(before, on, off, (20, 30))
-        # float32 light and 1 us of a change of at most 40 thresholds per second.
+        # The tolerance covers float32 light, and 1 us at up to 40 thresholds per second.
         assert (error < on + 1e-4).all()
         assert (error > -off - 1e-4).all()
     assert len(events) > (65_536 if config.threshold_on < 0.25 else 10 * 20 * 30)
@@ -144,7 +144,7 @@ def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: 
     levels = (before + EPS) * np.exp(sign * 0.25 * np.arange(1, n + 1)) - EPS
     times_us = 1e6 * (2.0 + duration_s * (levels - before) / (after - before))
     assert len(events) == n
-    # Rounding to microseconds, and float32 light: 6e-8 of half a second.
+    # The tolerance is the rounding to 1 us and that of float32 light, 6e-8 of half a second.
     np.testing.assert_allclose(events["t"], times_us, atol=0.5 + 0.05)
 
 
@@ -166,7 +166,7 @@ def test_what_is_next_to_nothing_gives_the_ideal_events(
     events = by_pixel(events_of(video, times_s, config, effects))
     assert len(ideal) > 5000
     np.testing.assert_array_equal(events[["x", "y", "p"]], ideal[["x", "y", "p"]])
-    # One memorises the level, the other the light when it passed it; the time constant; rounding.
+    # A pixel memorises the level or the light at the crossing; the time constant; rounding.
     assert np.abs(events["t"] - ideal["t"]).max() <= (1 if effects is None else 2)
 
 
@@ -190,7 +190,7 @@ def test_videos_of_any_type_and_layout() -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_crops_give_the_events_of_whole_frames(name: str) -> None:
-    """A square is before a textured wall from the start on, goes, and comes back elsewhere."""
+    """A square stands before a textured wall at the start, leaves, and comes back elsewhere."""
     wall, times_s = smooth_video(1, 30, 40)[0], 1e-3 * np.arange(120)
     video = np.repeat(wall[None], 120, axis=0)
     for k in range(120):
@@ -205,7 +205,7 @@ def test_crops_give_the_events_of_whole_frames(name: str) -> None:
         margin = margins.integers(0, 3, (2, 2))
         x0, y0 = np.maximum(low - margin[0], 0)
         x1, y1 = np.minimum(high + margin[1], [40, 30])
-        # An instant without the square may be left out when those around it are without as well.
+        # An instant may be left out when neither it nor its neighbours show the square.
         if (video[k - 1 : k + 2] != wall).any():
             crop = np.ascontiguousarray(video[k : k + 1, y0:y1, x0:x1])
             sensor.feed(times_s[k : k + 1], np.array([x0]), np.array([y0]), crop)
@@ -217,13 +217,13 @@ def test_crops_give_the_events_of_whole_frames(name: str) -> None:
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("step_s", [1e-3, 0.7e-6])
 def test_events_are_in_order_and_may_be_taken_as_they_settle(name: str, step_s: float) -> None:
-    """One instant at a time or many; also where many feeds fall into one microsecond."""
+    """Instants are fed one by one or together; at small steps one microsecond has many feeds."""
     config = PRESETS[name]
     video, times_s = smooth_video(50, 12, 15), step_s * np.arange(50)
     whole = events_of(video, times_s, config)
     by_row = np.lexsort((whole["x"], whole["y"], whole["t"]))  # which is a stable sort
     np.testing.assert_array_equal(by_row, np.arange(len(whole)))
-    if config == IDEAL:  # those of a pixel and a microsecond come as they were emitted
+    if config == IDEAL:  # a pixel's events of one microsecond keep their order
         slow = events_of(video, 1e-3 * np.arange(50))
         np.testing.assert_array_equal(by_pixel(whole)["p"], by_pixel(slow)["p"])
     sensor, taken = sensor_of(video[0], config), []
@@ -251,7 +251,7 @@ def test_shot_noise_falls_to_a_quarter_in_full_light(effects: Effects, light: fl
     times = np.histogram(events["t"], bins=10, range=(0, 5_000_000))[0]
     assert np.abs(times - expected / 10).max() < 5.0 * (expected / 10) ** 0.5
     per_pixel = counts(events, SHAPE)
-    # Of a Poisson count of mean m the variance is m, known here to sqrt(2 / 3000).
+    # A Poisson count of mean m has variance m; 3000 counts give it to sqrt((2 + 1 / m) / 3000).
     assert per_pixel.var() == pytest.approx(expected / 3000, rel=5 * (2.5 / 3000) ** 0.5)
 
 
@@ -262,14 +262,14 @@ def test_shot_noise_falls_with_the_light(lux: float, falls: float, light: float)
     effects = SensorEffects(illuminance_lux=lux / light, dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
     events = still_events(light, duration_s, effects=effects)
     on = int((events["p"] == 1).sum())
-    # At least 5000 events: a deviation of 1.4 % at most.
+    # There are at least 5000 events, whose number has a deviation of 1.4 % at most.
     per_pixel = falls * duration_s * 3000
     assert on == pytest.approx(5.0 * per_pixel, rel=0.05)
     assert len(events) - on == pytest.approx(3.7 * per_pixel, rel=0.05)
 
 
 def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
-    """Pixels are followed at each change: what they wait for meanwhile must not start anew."""
+    """Pixels are updated at each change of light, which must not restart their wait for noise."""
     times_s = np.linspace(0.0, 5.0, 501)
     light = np.broadcast_to(0.5 + 0.01 * (np.arange(501) % 2)[:, None, None], (501, *SHAPE))
     events = events_of(light, times_s, replace(QUIET, background_hz=3.0), FAINT)
@@ -281,7 +281,7 @@ def test_rates_spread_over_pixels() -> None:
     effects = SensorEffects(illuminance_lux=0.1, dim_noise_on_hz=20.0, noise_spread_decades=spread)
     events = still_events(0.9, 60.0, effects=effects)
     assert len(events) == pytest.approx(20.0 * 60.0 * 3000, rel=0.05)  # 3000 draws: 1.2 %
-    # Counts of a thousand each add 0.014 decades.
+    # The scatter of counts of about a thousand per pixel adds 0.014 decades.
     assert np.log10(counts(events, SHAPE)).std() == pytest.approx(np.hypot(spread, 0.014), rel=0.05)
 
 
@@ -385,7 +385,7 @@ def test_no_two_events_of_a_pixel_within_the_dead_time(
 
 
 def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time() -> None:
-    """ESIM counts the thresholds passed in the dead time; a real pixel sleeps through them."""
+    """ESIM counts the thresholds passed in the dead time; a real pixel ignores them."""
     dead_s, times_s = 0.01, np.linspace(0.0, 1.0, 101)
     light = 0.1 + 0.8 * times_s[:, None, None]
     events = events_from_frames(light, times_s, SensorConfig(refractory_s=dead_s))
@@ -417,7 +417,7 @@ def test_a_step_is_followed_with_the_time_constant_of_its_light(
     usable = left > 0.05
     assert usable.sum() > 20
     rate = -np.polyfit(1e-6 * events["t"][usable], np.log(left[usable]), 1)[0]
-    # log_eps counts as light, a quarter of a per cent of it; stamps are whole microseconds.
+    # log_eps counts as light, 0.25 % of it, and time stamps are whole microseconds.
     assert rate / (2 * np.pi) == pytest.approx(expected_hz, rel=0.02)
 
 
@@ -432,13 +432,13 @@ def test_latency_and_jitter_depend_on_the_light(lux: float) -> None:
     seen_lux = lux * (0.2 + EPS) * np.exp(0.25)  # light at the threshold
     delays_us = events["t"] - 1e6
     expected_us = 100 + 1e3 / seen_lux
-    # 3000 draws: deviations of 1.3 % in the deviation, 0.2 % in the mean.
+    # 3000 draws give the deviation to 1.3 % and the mean to 0.2 %.
     assert delays_us.mean() == pytest.approx(expected_us, rel=0.02)
     assert delays_us.std() == pytest.approx(expected_us / 10, rel=0.05)
 
 
 def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
-    """The light falls all along, but the photoreceptor still rises to what it was before."""
+    """The light falls throughout, but the lagging photoreceptor at first still rises."""
     effects = SensorEffects(
         illuminance_lux=1e3, cutoff_hz_per_lux=1.0, cutoff_max_hz=50.0, cutoff_min_hz=50.0
     )
@@ -449,7 +449,7 @@ def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
     coarse = events_of(light, coarse_s, effects=effects)
     events = events_of(fine, fine_s, effects=effects)
     assert len(coarse) == len(events) >= 2
-    np.testing.assert_allclose(coarse["t"], events["t"], atol=2)  # of 10 ms; rounding
+    np.testing.assert_allclose(coarse["t"], events["t"], atol=2)  # rounding, in a fall of 10 ms
 
 
 @pytest.mark.parametrize("cutoff_hz", [1e6, 50.0])
@@ -459,7 +459,7 @@ def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
         cutoff_hz_per_lux=1e9, cutoff_min_hz=cutoff_hz, cutoff_max_hz=cutoff_hz
     )
     times_s = np.linspace(0.0, 0.3, 30_001)
-    # The pixel starts in the middle of all, as if it had followed the lamps for long.
+    # The pixel starts in its steady state, as if it had followed the lamps for long.
     gain, lag = 1 / np.hypot(1, hz / cutoff_hz), np.arctan(hz / cutoff_hz)
     swinging = 0.5 * (1.0 + depth * np.cos(2 * np.pi * hz * times_s + FLICKER_RAD))
     swinging[0] = 0.5 * (1.0 + depth * gain * np.cos(FLICKER_RAD - lag))
@@ -468,5 +468,5 @@ def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
     events = events_of(still, ends_s, effects=replace(filtered, flicker_depth=depth))
     assert len(by_light) == len(events) > 50
     np.testing.assert_array_equal(events["p"], by_light["p"])
-    # Of cycles of 10 ms: steps of 10 us between whole microseconds, single precision.
+    # The tolerance is one step of the light, 10 us of a cycle of 10 ms, and covers rounding.
     np.testing.assert_allclose(events["t"], by_light["t"], atol=10)

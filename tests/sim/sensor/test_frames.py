@@ -27,7 +27,7 @@ def expose(
 def exposer_in_memory(
     config: FrameConfig, background: NDArray[np.float32], duration_s: float, start_s: float = 0.0
 ) -> tuple[FrameExposer, Frames]:
-    """Frames that are filled in as they are exposed; no value stays as it is."""
+    """Return an exposer and the frames that it fills; no initial value may remain in these."""
     times_us = frame_times_us(config, duration_s, start_s)
     images = np.full((len(times_us), *background.shape), 77, np.uint8)
     exposer = FrameExposer(config, background, len(times_us), images.__setitem__, start_s)
@@ -45,7 +45,7 @@ def uneven_times(n: int, end_s: float, seed: int = 0) -> NDArray[np.float64]:
     ("exposure_s", "start_s"), [(0.001, 0.0), (0.013, 0.0), (0.013, 0.0123), (0.02, 0.0)]
 )
 def test_linear_light_is_integrated_exactly(n: int, exposure_s: float, start_s: float) -> None:
-    """The mean over an exposure is then the light at its middle, whatever the instants."""
+    """The mean of linear light over an exposure is the light at its middle, for any instants."""
     times_s = uneven_times(n, 0.5)
     start, slope = np.array([[0.1, 0.9, 0.5]]), np.array([[1.5, -1.6, 0.0]])
     video = (start + slope * times_s[:, None, None]).astype(np.float32)
@@ -66,7 +66,7 @@ def test_linear_light_is_integrated_exactly(n: int, exposure_s: float, start_s: 
         *((FrameConfig(50.0, 0.005), duration_s, n) for duration_s, n in (
             (0.0049, 0), (0.005, 1), (0.0249, 1), (0.025, 2), (1.0, 50), (20.0, 1000)
         )),
-        # The last of exposures without gaps.
+        # Exposures without gaps between them, the last of which may end with the recording.
         *((FrameConfig(rate_hz, 1.0 / rate_hz), 2.0, int(2.0 * rate_hz + 1e-6))
           for rate_hz in (3.0, 7.0, 30.0, 60.0, 1000.0 / 3.0)),
         (FrameConfig(0.0), 2.0, 0),
@@ -81,7 +81,7 @@ def test_only_whole_exposures_become_frames(config: FrameConfig, duration_s: flo
 
 
 def test_crops_and_gaps_show_the_background() -> None:
-    """As the renderer gives them: crops of several sizes, none while the drone is out of view."""
+    """Crops are as the renderer's: of several sizes, and none while the drone is out of view."""
     rng = np.random.default_rng(3)
     n, height, width = 160, 20, 25
     background = rng.random((height, width)).astype(np.float32)
@@ -98,7 +98,7 @@ def test_crops_and_gaps_show_the_background() -> None:
         crops = np.ascontiguousarray(video[batch, y0:y1, x0:x1])
         exposer.feed(times_s[batch], np.full(len(batch), x0), np.full(len(batch), y0), crops)
     exposer.finish()
-    # Sums in float32, of other terms: a value near a half code may round the other way.
+    # The float32 sums have other terms, so a value near half a code may round the other way.
     difference = np.abs(cropped.images.astype(int) - whole.images)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 1e-3

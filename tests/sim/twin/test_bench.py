@@ -1,4 +1,4 @@
-"""The bench: model, walls, cameras, room, pendulum and calibration."""
+"""Tests the bench: model, walls, cameras, room, pendulum and calibration."""
 
 from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_the_events_of_all_pixels_rebuild_one_course_of_the_light() -> None:
     events, other = (events_of(RoomConfig(light_std=0.3), k, **thresholds) for k in (0, 1))
     net = reference_levels(events, 1.0, 1.0, (260, 346))
     assert np.abs(np.median(net)) >= 2  # the light did change
-    # Each remembers a level less than a threshold from the light, at first and at last.
+    # Each pixel's memorised level is within a threshold of the light, at the start and the end.
     assert np.ptp(net) <= 4
     assert np.sum(2.0 * other["p"] - 1.0) == pytest.approx(net.sum(), rel=0.05)  # one lamp
 
@@ -75,19 +75,19 @@ def test_the_events_of_all_pixels_rebuild_one_course_of_the_light() -> None:
 def test_a_shadow_is_where_the_hand_is_and_no_deeper_than_it_says() -> None:
     events = events_of(RoomConfig(shadow=0.3))
     assert len(events) > 1000
-    # log(1 / 0.7) = 0.36: wherever a pixel starts, two thresholds of 0.25 at most below or one
-    # above, however often the edge of the shadow comes and goes.
+    # log(1 / 0.7) = 0.36: a pixel's events add up to at most two thresholds of 0.25 down or one up,
+    # wherever it starts and however often the edge of the shadow comes and goes.
     net = np.zeros((260, 346), np.int64)
     for row, column, p in zip(events["y"], events["x"], events["p"], strict=True):
         net[row, column] += 2 * int(p) - 1
         assert -2 <= net[row, column] <= 1
-    # It goes with the hand, which is out of view, as far below it as the wire is long.
+    # The shadow follows the hand, which is out of view, one length of the wire below the hand.
     hand_m, camera = hanging_of(WALLS, 0).hand(1e-6 * events["t"]), WALLS.scene(0).rig.cameras[0]
     assert camera.project(hand_m)[:, 1].max() < 0.0
     u, v = camera.project(hand_m - [0.0, 0.0, WALLS.pendulum.length_m]).T
     far_px = np.hypot(np.abs(events["x"] - u) - 60.0, events["y"] - v + 100.0)
-    # A radius of 45 px, and a penumbra whose last hundredth is 4.6 / 4 of its 18 px further out;
-    # pixels that are nearly due fire at less: 1 % of the light is 4 % of a threshold.
+    # The radius is 45 px, and the penumbra falls to 1 % at 4.6 / 4 of its 18 px further out; only
+    # pixels near their threshold fire at less: 1 % of the light is 4 % of a threshold.
     assert np.quantile(far_px, 0.97) < 45.0 + 1.15 * 18.0
 
 
@@ -100,7 +100,7 @@ def test_each_pixel_that_the_wire_passes_may_fire_off_then_on() -> None:
     assert np.quantile(np.abs(at - events["x"]), 0.99) < 0.6
     assert 0.3 < events["p"].mean() < 0.7
     thin, thick = (wire_contrast(RoomConfig(wire_m=m), camera, 0.5) for m in (2e-4, 4e-4))
-    # log(1 - x): twice the thread keeps back a little more than twice the light.
+    # The contrast is log(1 - x): a wire twice as thick has a little more than twice the contrast.
     assert thick / thin == pytest.approx(2.0, rel=0.1)
 
 
@@ -113,7 +113,7 @@ def test_the_model_is_three_by_three_by_one_centimetres() -> None:
 
 def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch: pytest.MonkeyPatch) -> None:
     soft = wall(346, 260, rng(1))
-    monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # next to no neighbour has a share
+    monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # neighbours have almost no share
     sharp = wall(346, 260, rng(1))
     assert sharp.shape == (260, 346)
     assert 0.0 < sharp.min() <= sharp.max() < 1.0
@@ -137,7 +137,7 @@ def energy(states: np.ndarray) -> np.ndarray:
 
 def test_a_swing_in_space_keeps_its_energy_and_the_wire_its_length() -> None:
     states = free_swing(0.6, turns=1.5)
-    # Runge and Kutta's fourth order: the error of 10,000 steps of 1 ms, each of some (5e-3)^5.
+    # The error of 10,000 steps of 1 ms by Runge and Kutta's fourth order, some (5e-3)^5 each.
     assert np.ptp(energy(states)) < 1e-7
     np.testing.assert_allclose(np.linalg.norm(states[:, :3], axis=1), 1.0, atol=1e-12)
 
@@ -148,14 +148,14 @@ def test_the_period_is_the_pendulums(angle_rad: float) -> None:
     k = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
     crossings_s = STEP_S * (k + x[k] / (x[k] - x[k + 1]))
     exact_s = 4.0 * np.sqrt(LENGTH_M / GRAVITY_M_S2) * ellipk(np.sin(0.5 * angle_rad) ** 2)
-    # The line between two steps errs by far less than a step.
+    # Linear interpolation between two steps errs by far less than a step.
     np.testing.assert_allclose(np.diff(crossings_s), exact_s, atol=1e-6)
 
 
 def test_air_takes_the_energy_at_the_rate_of_the_damping() -> None:
     damping_per_s = 0.3
     left = energy(free_swing(0.05, damping_per_s)) + GRAVITY_M_S2
-    # Of a small swing the mean over a period falls as exp(-c t); over whole periods it is its own.
+    # A small swing's energy, averaged over a period, falls as exp(-c t); the fit averages it.
     rate = -np.polyfit(STEP_S * np.arange(len(left)), np.log(left), 1)[0]
     assert rate == pytest.approx(damping_per_s, rel=0.02)
 
@@ -191,10 +191,10 @@ def test_intrinsics_err_by_their_stated_deviations() -> None:
         found = calibrated_camera(camera, config, rng(seed))
         errors = (found.K - camera.K)[[0, 1, 0, 1], [0, 1, 2, 2]]
         normalised.append(errors / found.intrinsics_std_px)
-        # The rms over both coordinates of all corners, less what 188 parameters take of 3240.
+        # The rms is of whole corners; a fit of 188 parameters to 3240 coordinates lowers it a bit.
         # Seed 23 has a view whose mirrored pose OpenCV's first pass keeps, at 0.41 px.
         assert found.rms_px == pytest.approx(np.sqrt(2.0) * config.corner_std_px, rel=0.1)
-    # 12 draws of 1: their root mean square is 1 but for 20 % (1 sigma); fu and fv go together.
+    # The root mean square of 12 draws of deviation 1 is 1 to 20 % (1 sigma); fu and fv correlate.
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
     assert (rms > 0.55).all()
     assert (rms < 1.45).all()
