@@ -35,8 +35,8 @@ for small numbers such as t_d_error_ms, the difference of two nearly equal ones.
 BY_BODY = 0.05
 """Additional tolerance for a method with `needs_events`: BY_BODY (1 + |x|) for a number x.
 
-Such a method finds the body by many comparisons, which rounding may decide. With other processors'
-kernels 4 of 17 recordings of the tables differ: t_d by up to 1e-3 ms, R by 2e-3 deg, a count by 1.
+Such a method finds the body by many comparisons. Their values are rounded (`ssac.track.body`), so
+that 60 recordings agree with two processors' kernels. Rows from before may differ by this much.
 """
 
 _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
