@@ -114,7 +114,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     for stage, words in {
         "joint": "ambiguous_offset ambiguous_pose degenerate_pose",
         "tangency": "ambiguous_offset degenerate_pose poor_fit",
-        "fast": "no_convergence clock_jump no_match poor_fit",
+        "fast": "no_convergence clock_jump no_match poor_fit ambiguous_offset",
         "rates": "no_convergence no_match",
         "pieces": "clock_jump poor_fit",
         "all offsets": "several_objects no_common_time too_few_samples search_bound "

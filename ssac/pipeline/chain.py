@@ -311,10 +311,7 @@ class Chain:
             if start.has_guess:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
-                near = start.config(config)
-                if not self._searches_all(*cleans):  # a retry: as many swings must be seen
-                    near = replace(near, min_swings=config.min_swings)
-                pair = replace(pair, seen=(cleans[0], other), config=near)
+                pair = replace(pair, seen=(cleans[0], other), config=start.config(config))
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
     def _refined(self, pair: _Pair) -> Answer:

@@ -78,8 +78,8 @@ def other_rates(
 
 def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:
     """Whether another clock's estimate holds; a fast one must exceed the skew of a mere jump."""
-    is_slow = abs(by_other.skew_ppm) < rules.least_fast_ppm
-    if clock == FAST and found.status == Status.CLOCK_JUMP and is_slow:
+    may_jump = found.status in (Status.CLOCK_JUMP, Status.AMBIGUOUS_OFFSET)
+    if clock == FAST and may_jump and abs(by_other.skew_ppm) < rules.least_fast_ppm:
         return False
     return by_other.has_offset and not (is_vague(found, rules) and is_vague(by_other, rules))
 
@@ -164,7 +164,7 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
         is_crowded = found.status in SETTLED_BY["closer"] or answer.sees_several
         if is_crowded and (is_thin or is_hidden):
             yield from _closer(fewer)
-    if is_thin and not is_noisy:
+    if (is_thin or is_one_of_some) and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
 

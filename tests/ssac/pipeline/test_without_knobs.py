@@ -13,7 +13,7 @@ from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import tangency
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.registry import METHODS
-from ssac.pipeline.retries import WAYS, by_several, less_certain, other_clocks
+from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.points import PointTrack
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
@@ -257,6 +257,7 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
     closer = asked.rules.retry.closer
     assert any(way.rules.objects == closer for way in fewer) is looks_closer
     if status == Status.AMBIGUOUS_OFFSET:  # more events do not narrow one long valley
+        assert any(way.denoise is False for way in ways)  # there is no noise
         alone = other_ways(replace(found, alternatives_s=np.empty(0)), seen)
         assert not any(way.n_min for way in alone)
 
@@ -297,6 +298,24 @@ def test_more_is_tried_where_the_offset_is_as_open_as_the_pose(events, status, t
     assert (Config(half_window_s=0.04) in ways) is is_tried
     clocks = other_clocks(Config(), Config().resolved(has_track=False), False, found)
     assert [name for name, _ in clocks] == ["fast"] * is_tried
+
+
+@pytest.mark.parametrize(
+    ("status", "skew_ppm", "is_settled"),
+    [
+        (Status.CLOCK_JUMP, 590.0, False),
+        (Status.AMBIGUOUS_OFFSET, 590.0, False),
+        (Status.CLOCK_JUMP, 610.0, True),
+        (Status.AMBIGUOUS_OFFSET, 610.0, True),
+        (Status.NO_MATCH, 590.0, True),
+    ],
+)
+def test_only_a_rate_that_is_no_mere_jump_s_settles_a_jump_or_an_offset(
+    status, skew_ppm, is_settled
+):
+    by_fast = Estimate("joint", Status.OK, "", T_D_S, skew_ppm=skew_ppm)
+    refused = Estimate("joint", status, "why")
+    assert is_settled_by(by_fast, refused, "fast", RetryRules()) is is_settled
 
 
 @pytest.mark.parametrize(
