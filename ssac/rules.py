@@ -540,10 +540,14 @@ class TangencyRules:
     least_size_px: float = 3.5  # rms, of both images together, for an outline
     area_reach_s: float = 0.5  # about this offset, in which that of the centres of area is searched
     # Difference of the start's and the tangents' offsets, in the start's deviations, above which it
-    # adds to the deviation: where the start is refused, or fewer than this share of tangents seen.
-    # By numbers 1062 to 1241 of `ssac by-hand`: above .4 the tangents are right.
+    # adds to the deviation where the start is refused.
     max_sigmas: float = 3.0
+    # Share of tangents seen, below which t_d's deviation grows by half of that difference: above,
+    # tangents are right. By numbers 1062 to 1241 of `ssac by-hand`.
     few_seen: float = 0.4
+    # Factor of t_d's deviation where the object is too small for an outline: by 53 of numbers 1962
+    # to 2561 of `ssac by-hand`, by which two of few tangents were off by 10 and 13 deviations.
+    tiny_times: float = 1.3
     max_rounds: int = 8  # of finding the tangents and refining; four are usual
     steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
     last_turn: float = 1e-4  # [rad] of the pose, between rounds

@@ -153,7 +153,7 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     name = "tangency-known" if views.pose_is_known else "tangency"
     start = replace(start, method=name, start=start)
     if is_tiny(views):
-        return start
+        return widened(start, (views.rules.tangency.tiny_times**2 - 1.0) * start.t_d_std_s**2)
     is_vague = not views.pose_is_known and start.status in SETTLED_BY["tangency"]
     if is_vague and is_large(views):
         areas = by_areas(views, start.t_d_s)
@@ -170,10 +170,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
     assert start.start is not None
     search, rules = start.start.start, views.rules.verdict
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
-        found = certain(refine_tangents(start, views), rules)
-        joined, strays_s = with_body(found, views), _strays_s(start, found, views)
-        is_sure = joined.t_d_s != found.t_d_s or not _sees_few(found, views)
-        return joined if is_sure else widened(joined, strays_s**2)
+        return _as_seen(start, certain(refine_tangents(start, views), rules), views)
     search = replace(search, method=start.method, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):
         # The refinement of this search was refused for its covariance.
@@ -182,7 +179,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
         if found.status != Status.OK:  # a poor fit is not reliable even in part
             return found if found.status == Status.POOR_FIT else start
         strays_s = _strays_s(start, found, views)
-        return widened(start, strays_s**2) if strays_s > 0.0 else with_body(found, views)
+        return widened(start, strays_s**2) if strays_s > 0.0 else _as_seen(start, found, views)
     if positions.alone.repeats or len(search.alternatives_s) == 0:  # motion leaves the offset open
         return start
 
@@ -190,7 +187,7 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
         return refine_tangents(refine(search, positions), views)  # positions first
 
     found = certain(Choice(positions, refined, by_own_pairs=True).settled(search), rules)
-    return with_body(found, views) if found.status == Status.OK else start
+    return _as_seen(start, found, views) if found.status == Status.OK else start
 
 
 def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
@@ -199,10 +196,20 @@ def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
     return strays_s if strays_s > views.rules.tangency.max_sigmas * start.t_d_std_s else 0.0
 
 
-def _sees_few(found: Estimate, views: TwoViews) -> bool:
-    """Whether so few tangents are seen that the views may show different parts of the object."""
-    n_times = len(tangent_times(views, found.t_d_s)) if found.status == Status.OK else 0
-    return found.n_samples < views.rules.tangency.few_seen * 2.0 * n_times
+def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
+    """Join the body; where there is none and few tangents are seen, widen the offset's deviation.
+
+    The views may then show different parts of the object, whose offset no residual tells from the
+    true one. Half of the difference from the start is the two offsets' deviation from their mean.
+    """
+    if found.status != Status.OK:
+        return found
+    joined, n_times = with_body(found, views), len(tangent_times(views, found.t_d_s))
+    sees_few = found.n_samples < views.rules.tangency.few_seen * 2.0 * n_times
+    has_offset = start.status != Status.AMBIGUOUS_OFFSET and np.isfinite(start.t_d_s)
+    if joined.t_d_s != found.t_d_s or not (sees_few and has_offset):
+        return joined
+    return widened(joined, (0.5 * (found.t_d_s - start.t_d_s)) ** 2)
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:

@@ -146,7 +146,7 @@ def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
     assert alone.status == "degenerate_pose"
 
 
-def test_few_tangents_against_a_start_are_no_surer_than_their_difference():
+def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_start():
     by_means = joint_from(algorithm_2(VIEWS), VIEWS)
     sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
     deviations_s = []
@@ -156,7 +156,17 @@ def test_few_tangents_against_a_start_are_no_surer_than_their_difference():
         assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
         deviations_s.append(found.t_d_std_s)
     assert deviations_s[0] == deviations_s[1] < 1e-3
-    assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], sure.t_d_s - found.t_d_s))
+    half_s = 0.5 * (sure.t_d_s - found.t_d_s)
+    assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], half_s))
+
+
+def test_where_there_is_no_outline_the_start_is_the_answer_but_its_offset_less_sure():
+    start = joint_from(algorithm_2(VIEWS), VIEWS)
+    rules = TangencyConfig(least_size_px=1e3, tiny_times=1.5)
+    tiny = tangency_from(start, VIEWS.by(tangency=rules))
+    assert tiny.t_d_s == start.t_d_s
+    assert tiny.t_d_std_s == pytest.approx(1.5 * start.t_d_std_s)
+    np.testing.assert_array_equal(tiny.covariance[1:, 1:], start.covariance[1:, 1:])
 
 
 @pytest.mark.parametrize("scale", [1, 8])
