@@ -33,6 +33,8 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 
 def brief(error: BaseException, longest: int = 200) -> str:
     """Return an exception's message on one line, cut to `longest` characters."""
+    if isinstance(error, MemoryError):  # of a library that believes a size it reads
+        return "a size in it is larger than the memory here"
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= longest else f"{words[:longest]}..."
 

@@ -1,5 +1,6 @@
 """Damaged and unsorted files and ROS bags: which are refused, and what is read of the others."""
 
+import re
 import sys
 
 import numpy as np
@@ -12,6 +13,7 @@ from ssac.events import events_from_arrays
 from ssac.files.damage import Reading
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
+from ssac.files.readable import readable
 from ssac.files.ros_bags import topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
@@ -214,6 +216,15 @@ def test_a_message_that_cannot_be_read_ends_what_is_allowed_to_be_damaged(tmp_pa
     bag = write_bag(tmp_path / "flight.bag", {"/events": (kind, [*messages, *broken])})
     said = "not a readable ROS bag", "no further than its first 3 messages"
     assert len(refused_or_left(bag, *said)) == len(EVENTS)
+
+
+def test_a_size_that_a_library_believes_is_damage_and_no_lack_of_memory(tmp_path):
+    said = "a.bag: not a readable ROS bag (a size in it is larger than the memory here): copy or"
+    with (
+        pytest.raises(SsacError, match=re.escape(said)),
+        readable(tmp_path / "a.bag", "a readable ROS bag"),
+    ):
+        np.empty(2**58)
 
 
 def test_without_the_library_it_is_named(tmp_path, monkeypatch):
