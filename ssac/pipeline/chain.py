@@ -51,6 +51,7 @@ class _Pair:
     rig: Rig  # as the method may see it
     config: Config  # with nothing left open
     start: Start | None = None
+    is_contradicted: bool = False  # by another search: chance may then match a short common time
 
 
 class Chain:
@@ -255,14 +256,17 @@ class Chain:
             return self._hinted(pair, answer, tries_all)
         widest = answer
         if not tries_all and retries.lies_elsewhere(self.config, answer.estimate):
-            wider = self._of_one(pair, True)
+            saw_little = answer.estimate.status in SETTLED_BY["few swings"]
+            other = replace(pair, is_contradicted=not saw_little)
+            wider = self._of_one(other, True)
             if wider.estimate.has_offset:
-                return self._hinted(pair, wider, True)
+                return self._hinted(other, wider, True)
             widest = wider
             answer = wider if retries.is_truer(wider.estimate, answer.estimate) else answer
         rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
-            rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
+            other = replace(pair, config=replace(config, rates=rates))
+            rated = self._of_one(replace(other, is_contradicted=not tries_all), True)
             rate = 1.0 + 1e-6 * rated.estimate.skew_ppm  # a jump may look faster
             if rated.estimate.has_offset and rates[0] <= rate <= rates[1]:
                 return replace(rated, clock=retries.FAST)
@@ -311,7 +315,10 @@ class Chain:
             if start.has_guess:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
-                pair = replace(pair, seen=(cleans[0], other), config=start.config(config))
+                near = start.config(config)
+                if pair.is_contradicted:
+                    near = replace(near, min_swings=config.min_swings)
+                pair = replace(pair, seen=(cleans[0], other), config=near)
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
     def _refined(self, pair: _Pair) -> Answer:

@@ -43,7 +43,8 @@ def narrows(asked: Config, found: Estimate) -> bool:
 def is_truer(wider: Estimate, found: Estimate) -> bool:
     """Whether the refusal of a search of all offsets says more than that of an interval."""
     is_narrow = found.status in (Status.NO_COMMON_TIME, Status.SEARCH_BOUND)
-    return is_narrow or found.status == wider.status == Status.NO_MATCH
+    says_more = found.status in (Status.NO_MATCH, Status.TOO_LITTLE_MOTION)
+    return is_narrow or (says_more and found.status == wider.status)
 
 
 def other_clocks(

@@ -178,6 +178,28 @@ def test_what_is_too_short_is_to_be_recorded_longer(seed):
     assert "record longer" in ssac.sync(*brief, [CAMERA, CAMERA]).estimate.reason
 
 
+@pytest.mark.parametrize("seed", [0, 2])  # 2 to 3.5 swings: all offsets are searched
+def test_a_short_flight_is_answered(seed):
+    short = make_events(make_scene(seed, duration_s=2.5), seed, T_D_S, 20_000.0, 0.1)
+    near = ssac.sync(*short, [CAMERA, CAMERA], search="interval")
+    assert near.status == Status.TOO_LITTLE_MOTION
+    result = ssac.sync(*short, [CAMERA, CAMERA])
+    assert result.status == Status.OK
+    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+
+
+def test_what_an_interval_contradicts_needs_more_to_agree_elsewhere():
+    """As the last 2 s of a flight did at 6 s, by chance, where a clock was 2.4 % fast."""
+    one, whole = make_events(make_scene(2, duration_s=8.0), 2, T_D_S, 20_000.0, 0.1)
+    foreign = make_events(make_scene(12, duration_s=8.0), 12, T_D_S, 20_000.0, 0.1)[1]
+    last = whole[whole["t"] >= 5_500_000]
+    last["t"] -= 5_500_000
+    mixed = np.concatenate([last, foreign[foreign["t"] >= 2_600_000]])
+    assert ssac.sync(one, mixed, [CAMERA, CAMERA]).status == Status.NO_MATCH
+    everywhere = ssac.sync(one, mixed, [CAMERA, CAMERA], search="all")
+    assert abs(everywhere.t_d_s - T_D_S + 5.5) < 4.0 * everywhere.t_d_std_s
+
+
 def test_it_is_said_how_far_focal_lengths_turn_the_pose(events, right):
     wrong = ssac.sync(*events, [longer(0.02), longer(0.02)]).estimate
     turned_deg = rotation_angle_deg(wrong.R, right.R)
