@@ -165,7 +165,7 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
         is_crowded = found.status in SETTLED_BY["closer"] or answer.sees_several
         if is_crowded and (is_thin or is_hidden):
             yield from _closer(fewer)
-    if (is_thin or is_one_of_some) and not is_noisy:
+    if (is_thin or (is_one_of_some and is_for_outlines)) and not is_noisy:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
 
