@@ -119,7 +119,6 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         "pieces": "clock_jump poor_fit",
         "all offsets": "several_objects no_common_time too_few_samples search_bound "
         "too_little_motion no_convergence clock_jump no_match poor_fit ambiguous_offset",
-        "few swings": "no_common_time too_few_samples too_little_motion",
         "jump": "search_bound too_little_motion no_match ambiguous_offset",
         "closer": "several_objects clock_jump no_match poor_fit ambiguous_offset",
         "start": "several_objects no_motion no_convergence no_match poor_fit",

@@ -51,7 +51,6 @@ class _Pair:
     rig: Rig  # as the method may see it
     config: Config  # with nothing left open
     start: Start | None = None
-    is_contradicted: bool = False  # by another search: chance may then match a short common time
 
 
 class Chain:
@@ -195,6 +194,12 @@ class Chain:
                     return other
                 if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
                     answer = other
+        if retries.needs_fewer_swings(self.config, answer.estimate):
+            way = replace(self.config, search="all")
+            resolved = way.resolved(self._has_track(*places))
+            other = self.under(way)._answered(method, places, resolved)
+            if other.estimate.status == Status.OK:
+                return other
         if retries.may_give_start(method, answer.estimate):
             start = self._answered(choose_method(method.starts_from), places, config)
             if start.estimate.status == Status.OK:
@@ -256,17 +261,14 @@ class Chain:
             return self._hinted(pair, answer, tries_all)
         widest = answer
         if not tries_all and retries.lies_elsewhere(self.config, answer.estimate):
-            saw_little = answer.estimate.status in SETTLED_BY["few swings"]
-            other = replace(pair, is_contradicted=not saw_little)
-            wider = self._of_one(other, True)
+            wider = self._of_one(pair, True)
             if wider.estimate.has_offset:
-                return self._hinted(other, wider, True)
+                return self._hinted(pair, wider, True)
             widest = wider
             answer = wider if retries.is_truer(wider.estimate, answer.estimate) else answer
         rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
-            other = replace(pair, config=replace(config, rates=rates))
-            rated = self._of_one(replace(other, is_contradicted=not tries_all), True)
+            rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
             rate = 1.0 + 1e-6 * rated.estimate.skew_ppm  # a jump may look faster
             if rated.estimate.has_offset and rates[0] <= rate <= rates[1]:
                 return replace(rated, clock=retries.FAST)
@@ -316,7 +318,7 @@ class Chain:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
                 near = start.config(config)
-                if pair.is_contradicted:
+                if not self._searches_all(*cleans):  # a retry: chance may match a short time
                     near = replace(near, min_swings=config.min_swings)
                 pair = replace(pair, seen=(cleans[0], other), config=near)
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)

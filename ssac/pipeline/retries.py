@@ -29,8 +29,19 @@ FAST, WANDERING = "fast", "pieces"
 
 def lies_elsewhere(asked: Config, found: Estimate) -> bool:
     """Whether the default interval gave nothing, so that offsets outside it may explain all."""
-    is_asked = asked.interval_s is not None or asked.rates is not None or asked.search != "auto"
-    return not is_asked and found.status in SETTLED_BY["all offsets"]
+    return _is_unasked(asked) and found.status in SETTLED_BY["all offsets"]
+
+
+def needs_fewer_swings(asked: Config, found: Estimate) -> bool:
+    """Whether the motion is too little for the interval, but may be enough to search all offsets.
+
+    That comes last: over a short common time chance matches more than over longer windows.
+    """
+    return _is_unasked(asked) and found.status == Status.TOO_LITTLE_MOTION
+
+
+def _is_unasked(asked: Config) -> bool:
+    return asked.interval_s is None and asked.rates is None and asked.search == "auto"
 
 
 def narrows(asked: Config, found: Estimate) -> bool:
