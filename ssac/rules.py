@@ -545,6 +545,11 @@ class TangencyRules:
     # Share of tangents seen, below which t_d's deviation grows by half of that difference: above,
     # tangents are right. By numbers 1062 to 1241 of `ssac by-hand`.
     few_seen: float = 0.4
+    # Factors of the deviations at these shares of the pairs that are seen, those of a body too: by
+    # the tables, flights 6010 to 6039 of `ssac study coverage` and numbers 1962 to 2561 of
+    # `ssac by-hand`.
+    seen_shares: tuple[float, float] = (0.4, 0.8)
+    seen_times: tuple[float, float] = (1.0, 0.88)
     # Factor of t_d's deviation where the object is too small for an outline: by 53 of numbers 1962
     # to 2561 of `ssac by-hand`, by which two of few tangents were off by 10 and 13 deviations.
     tiny_times: float = 1.3

@@ -27,7 +27,7 @@ from ssac.methods.joint import joint_from, refine
 from ssac.methods.method import method
 from ssac.methods.refinement import Refinement, Round, smooth_errors
 from ssac.methods.rigid_body import body_points, by_areas, is_large
-from ssac.methods.verdict import certain, widened
+from ssac.methods.verdict import certain, scaled, widened
 from ssac.rules import TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion, PointMotion
@@ -197,19 +197,21 @@ def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
 
 
 def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
-    """Join the body; where there is none and few tangents are seen, widen the offset's deviation.
+    """Join the body, and adapt the deviations to the share of the tangents that are seen.
 
-    The views may then show different parts of the object, whose offset no residual tells from the
-    true one. Half of the difference from the start is the two offsets' deviation from their mean.
+    Where few are, the views may show different parts of the object, whose offset no residual tells
+    from the true one, unless a body confirms it. Then half of the difference from the start, which
+    is the two offsets' deviation from their mean, adds to the offset's.
     """
     if found.status != Status.OK:
         return found
-    joined, n_times = with_body(found, views), len(tangent_times(views, found.t_d_s))
-    sees_few = found.n_samples < views.rules.tangency.few_seen * 2.0 * n_times
+    rules, n_tangents = views.rules.tangency, 2 * len(tangent_times(views, found.t_d_s))
+    joined = with_body(found, views)
+    if joined.t_d_s != found.t_d_s or found.n_samples >= rules.few_seen * n_tangents:
+        share = joined.n_samples / n_tangents
+        return scaled(joined, float(np.interp(share, rules.seen_shares, rules.seen_times)))
     has_offset = start.status != Status.AMBIGUOUS_OFFSET and np.isfinite(start.t_d_s)
-    if joined.t_d_s != found.t_d_s or not (sees_few and has_offset):
-        return joined
-    return widened(joined, (0.5 * (found.t_d_s - start.t_d_s)) ** 2)
+    return widened(joined, (0.5 * (found.t_d_s - start.t_d_s)) ** 2) if has_offset else joined
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:

@@ -151,13 +151,29 @@ def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_star
     sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
     deviations_s = []
     for few_seen in (0.0, 0.1, 2.0):  # least shares: the tangents seen are few only by the last
-        rules = TangencyConfig(joins_body=False, few_seen=few_seen)
+        rules = TangencyConfig(joins_body=False, few_seen=few_seen, seen_times=(1.0, 1.0))
         found = tangency_from(sure, VIEWS.by(tangency=rules))
         assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
         deviations_s.append(found.t_d_std_s)
     assert deviations_s[0] == deviations_s[1] < 1e-3
     half_s = 0.5 * (sure.t_d_s - found.t_d_s)
     assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], half_s))
+
+
+def test_the_more_tangents_are_seen_the_surer_they_are():
+    start = joint_from(algorithm_2(VIEWS), VIEWS)
+
+    def seen_by(seen_shares, seen_times) -> Estimate:
+        shares = {"few_seen": 0.0, "seen_shares": seen_shares, "seen_times": seen_times}
+        return tangency_from(start, VIEWS.by(tangency=TangencyConfig(joins_body=False, **shares)))
+
+    alone = seen_by((0.0, 1.0), (1.0, 1.0))
+    surer = seen_by((0.0, 1e-3), (1.0, 0.5))  # more are seen than that
+    between = seen_by((0.0, 2.0), (1.0, 0.5))
+    np.testing.assert_allclose(surer.covariance, 0.25 * alone.covariance)
+    np.testing.assert_allclose(surer.clock_covariance, 0.25 * alone.clock_covariance)
+    assert surer.t_d_std_s < between.t_d_std_s < alone.t_d_std_s
+    assert surer.t_d_s == between.t_d_s == alone.t_d_s
 
 
 def test_where_there_is_no_outline_the_start_is_the_answer_but_its_offset_less_sure():
