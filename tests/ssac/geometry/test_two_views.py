@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from ssac.geometry import epipolar, fundamental
 from ssac.geometry.epipolar import fundamental_from_pose
-from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.geometry.pose import (
     centre_covariance,
     homography_poses,
@@ -28,13 +27,17 @@ ROUNDING_PX = 1e-9  # pixel coordinates of order 100 carry about 1e-14
 def exact(request):
     scene = make_scene(seed=1, angle_deg=request.param)
     p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 100))
-    return epipolar.fundamental_from_pose(K, K, scene.R, scene.t), p1, p2
+    return fundamental_from_pose(K, K, scene.R, scene.t), p1, p2
 
 
-def test_corresponding_points_satisfy_the_epipolar_constraint(exact):
+@pytest.mark.parametrize("shift_px", [0.0, 2.5])
+def test_distances_are_from_epipolar_lines_in_image_1(exact, shift_px):
     F, p1, p2 = exact
+    lines = epipolar.epipolar_lines_1(F, p2)
+    shifts = shift_px * lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    distances = epipolar.epipolar_distance(F, p1 + shifts, p2)
+    assert np.allclose(distances, shift_px, atol=ROUNDING_PX)
     assert np.allclose(epipolar.sampson_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
-    assert np.allclose(epipolar.epipolar_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
 
 
 def test_f_has_rank_two_and_e_equal_singular_values(exact):
@@ -44,13 +47,6 @@ def test_f_has_rank_two_and_e_equal_singular_values(exact):
     assert np.allclose(singular / singular[0], [1.0, 1.0, 0.0], atol=1e-12)
     back = epipolar.fundamental_from_essential(K.T @ F @ K, K, K)
     assert np.allclose(back, F, atol=1e-12 * np.linalg.norm(F))
-
-
-def test_distance_is_measured_in_image_1(exact):
-    F, p1, p2 = exact
-    lines = epipolar.epipolar_lines_1(F, p2)
-    normals = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
-    assert np.allclose(epipolar.epipolar_distance(F, p1 + 2.5 * normals, p2), 2.5, atol=ROUNDING_PX)
 
 
 def test_a_point_without_a_line_has_no_finite_distance():
@@ -74,7 +70,7 @@ def test_a_rigid_move_of_the_world_changes_nothing():
 
     def relative_pose(R1, t1, R2, t2):
         R = R2 @ R1.T
-        return epipolar.fundamental_from_pose(K, K, R, t2 - R @ t1)
+        return fundamental_from_pose(K, K, R, t2 - R @ t1)
 
     # World points X become move X + shift; so R_W becomes R_W move', t_W: t_W - R_W move' shift.
     F = relative_pose(R1_W, t1_W, R2_W, t2_W)
@@ -190,7 +186,7 @@ def test_the_nearest_pose_improves_on_the_decomposition():
     errors_deg = []
     for seed in range(10):
         scene, p1, p2 = pairs(seed, 0.3, angle_deg=30.0)
-        F = reweighted_fundamental(p1, p2)
+        F = fundamental.reweighted_fundamental(p1, p2)
         pose, _ = pose_from_fundamental(F, K, K, p1, p2)
         nearest = nearest_pose(pose, F, K, K, p1, p2)
         turned = nearest_pose(pose, -F, K, K, p1, p2)  # F's sign is free
