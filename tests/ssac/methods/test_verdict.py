@@ -11,9 +11,8 @@ from ssac import Chain, Config, Estimate, Observation, Status, ssac, two_views
 from ssac.estimate import SETTLED_BY
 from ssac.methods.hypotheses import Choice, Solution, choose
 from ssac.methods.tangency import tangency_from
-from ssac.methods.verdict import certain, doubt, less_sure, offset_estimate
+from ssac.methods.verdict import certain, doubt, less_sure
 from ssac.rules import RetryRules, Rules
-from ssac.search.offset_search import OffsetSearch
 from ssac.track.observation import tracked
 from tests.ssac.box import box_events
 from tests.ssac.methods import flights
@@ -32,19 +31,6 @@ def normal(spread_px):
 # Distances where another object pulls positions away, and where one view misses a thin tip.
 ONE_IN_TEN_FAR_OUT = normal(0.3) + np.where(np.arange(2000) % 10 == 0, 15.0, 0.0)
 LONG_TAILED = 0.02 * np.clip(np.random.default_rng(1).standard_cauchy(2000), -40.0, 40.0)
-
-
-@pytest.mark.parametrize(
-    ("tried_s", "words"),
-    [((-0.2, 0.2), "record longer"), ((0.2, 1.0), "widen"), ((-1.0, -0.2), "widen")],
-)
-def test_a_bound_is_of_the_interval_or_of_what_recordings_have_in_common(tried_s, words):
-    candidates_s = np.arange(*tried_s, 0.001)  # of an interval from -1 to 1 s
-    at = -1 if tried_s[1] == 1.0 else 0
-    search = OffsetSearch(candidates_s, np.ones(len(candidates_s)), candidates_s[at], True)
-    found = offset_estimate("ssac", search, SimpleNamespace(config=Config()))
-    assert found.status == "search_bound"
-    assert words in found.reason
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 
 from ssac.config import Config
 from ssac.events import EVENT_DTYPE
+from ssac.methods.verdict import offset_estimate
 from ssac.points import PointTrack
 from ssac.rules import AllOffsetsRules, PointRules, SearchRules
 from ssac.search import offset_search
@@ -95,9 +96,16 @@ def test_the_minimum_is_found_between_candidates_of_which_a_tenth_are_tried(cost
     assert np.all(np.diff(some.candidates_s) > 0.0)
 
 
-def test_a_minimum_outside_the_interval_is_at_its_bound_and_none_is_nowhere():
+def test_a_minimum_outside_the_interval_is_at_its_bound_and_none_is_nowhere(views):
     for centre_s in (-1.5, 1.2):
-        assert searched(rounded_v(centre_s, widest_px=np.inf)).at_bound
+        cost = rounded_v(centre_s, widest_px=np.inf)
+        # The bound is the interval's, or that of what recordings have in common.
+        for offsets_s, advice in ((OFFSETS_S, "widen"), (OFFSETS_S[800:-800], "record longer")):
+            search = searched(cost, offsets_s)
+            found = offset_estimate("ssac", search, views)
+            assert search.at_bound
+            assert found.status == "search_bound"
+            assert advice in found.reason
     assert np.isnan(searched(lambda t: t * np.nan).t_d_s)
     assert np.isnan(searched(rounded_v(0.0), np.empty(0)).t_d_s)
 
@@ -128,14 +136,6 @@ def test_candidates_keep_half_of_the_longest_overlap(views):
     # The overlap is 4 s at the offset 0.25 s, and 2 s at offsets 2 s away on either side.
     assert near[[0, -1]] == pytest.approx([-1.75, 2.25], abs=0.002)
     assert len(far) == 0
-
-
-def test_too_few_pairs_have_no_distance(views):
-    pairs = views.pairs(np.array([0.25]), n_samples=40)
-    n_valid = int(pairs.valid.sum())
-    F = np.diag([1.0, -1.0, 0.0])
-    assert np.isfinite(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
-    assert np.isnan(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
 
 
 # --- All offsets ---
