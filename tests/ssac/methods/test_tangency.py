@@ -13,19 +13,12 @@ from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import moved_pose, pencils
-from ssac.methods import rigid_body
+from ssac.methods import rigid_body, tangency
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import (
-    TangencyConfig,
-    for_blind,
-    refine_tangents,
-    tangency_from,
-    tangent_pairs,
-    with_body,
-)
+from ssac.methods.tangency import refine_tangents, tangency_from
 from ssac.points import PointTrack
-from ssac.rules import PointRules
+from ssac.rules import PointRules, TangencyRules
 from ssac.search.object_track import ShapedTrack
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import point_motion
@@ -66,7 +59,7 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     assert estimate.status == "ok"
     # The tolerances are those of a lopsided box; tangents that ignore the readouts err by 2.0 ms.
     assert np.all(np.array(box.errors(estimate, scene)) < [0.3, 0.6, 0.3])
-    assert for_blind(VIEWS) is VIEWS  # where no camera was blind
+    assert tangency.for_blind(VIEWS) is VIEWS  # where no camera was blind
 
 
 def with_thread(events, seed):
@@ -117,7 +110,7 @@ def test_neither_the_start_nor_sparse_samples_matter():
     behind = refine_tangents(replace(START, t=-START.t), VIEWS)
     assert behind.t @ other.t > 0.99999  # both converge, to 0.3 degrees or better
     # The samples are further apart than the half width of the smoothing.
-    sparse = refine_tangents(START, VIEWS.by(tangency=TangencyConfig(step_s=0.08)))
+    sparse = refine_tangents(START, VIEWS.by(tangency=TangencyRules(step_s=0.08)))
     assert sparse.status == "ok"
     # A quarter of the samples, and only eight corners: four times the tables' goal.
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
@@ -125,7 +118,7 @@ def test_neither_the_start_nor_sparse_samples_matter():
 
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
     """Bug: where the rounds ran out, the last one's result was "ok"."""
-    once = VIEWS.by(tangency=TangencyConfig(max_rounds=1))
+    once = VIEWS.by(tangency=TangencyRules(max_rounds=1))
     known = replace(VIEWS, pose_is_known=True)
     for start, views, status, words in (
         (replace(TRUTH, t_d_s=100.0), VIEWS, "too_few_samples", "only 0 tangents"),
@@ -151,7 +144,7 @@ def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_star
     sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
     deviations_s = []
     for few_seen in (0.0, 0.1, 2.0):  # least shares: the tangents seen are few only by the last
-        rules = TangencyConfig(joins_body=False, few_seen=few_seen, seen_times=(1.0, 1.0))
+        rules = TangencyRules(joins_body=False, few_seen=few_seen, seen_times=(1.0, 1.0))
         found = tangency_from(sure, VIEWS.by(tangency=rules))
         assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
         deviations_s.append(found.t_d_std_s)
@@ -165,7 +158,7 @@ def test_the_more_tangents_are_seen_the_surer_they_are():
 
     def seen_by(seen_shares, seen_times) -> Estimate:
         shares = {"few_seen": 0.0, "seen_shares": seen_shares, "seen_times": seen_times}
-        return tangency_from(start, VIEWS.by(tangency=TangencyConfig(joins_body=False, **shares)))
+        return tangency_from(start, VIEWS.by(tangency=TangencyRules(joins_body=False, **shares)))
 
     alone = seen_by((0.0, 1.0), (1.0, 1.0))
     surer = seen_by((0.0, 1e-3), (1.0, 0.5))  # more are seen than that
@@ -178,7 +171,7 @@ def test_the_more_tangents_are_seen_the_surer_they_are():
 
 def test_where_there_is_no_outline_the_start_is_the_answer_but_its_offset_less_sure():
     start = joint_from(algorithm_2(VIEWS), VIEWS)
-    rules = TangencyConfig(least_size_px=1e3, tiny_times=1.5)
+    rules = TangencyRules(least_size_px=1e3, tiny_times=1.5)
     tiny = tangency_from(start, VIEWS.by(tangency=rules))
     assert tiny.t_d_s == start.t_d_s
     assert tiny.t_d_std_s == pytest.approx(1.5 * start.t_d_std_s)
@@ -193,7 +186,7 @@ def test_tangents_touch_the_outermost_corners(scale):
     camera = Camera(K, scale * synthetic.WIDTH, scale * synthetic.HEIGHT)
     streams = box.box_events(scene, 0, size_m=0.5, scale=scale)
     views = two_views(*streams, Rig(camera, camera), CLEAN)
-    times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
+    times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyRules().step_s)
     for view, pencil in enumerate(pencils(scene.R, box.unit(scene.t), K, K)):
         motion, shown_s = (views.motion1, views.motion2)[view], times_s + view * T_D_S
         near = near_outline(motion, pencil, shown_s, config)
@@ -280,7 +273,7 @@ def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
     scene = synthetic.make_scene(0, duration_s=DURATION_S)
     chain, found = Chain(seen(scene), scene.rig, NEAR), []
     for width in (0.0, 1.0, 2.0):
-        rules = replace(NEAR.rules, tangency=TangencyConfig(hidden_width=width))
+        rules = replace(NEAR.rules, tangency=TangencyRules(hidden_width=width))
         found.append(chain.under(replace(NEAR, rules=rules)).estimate("tangency"))
     none, once, twice = found
     assert (once.t_d_s, *once.R.flat, *once.t) == (none.t_d_s, *none.R.flat, *none.t)
@@ -295,7 +288,7 @@ def test_blurred_tangents_count_less():
     n = 50
     points, valid = np.zeros((n, 2)), np.ones(n, np.bool_)
     both = [Tangents(points, points, np.full(n, spread_px), valid) for spread_px in (0.0, 0.5)]
-    weights = tangent_pairs(0.02 * np.arange(n), both, both, 0.0, TangencyConfig()).weights
+    weights = tangency.tangent_pairs(0.02 * np.arange(n), both, both, 0.0, TangencyRules()).weights
     # The errors are 0.05 px of any tangent, and the blur in both views. Tolerance: rounding.
     expected = np.sqrt(0.05**2 + 2 * 0.5**2) / 0.05
     np.testing.assert_allclose(weights[:n] / weights[n:], expected, rtol=1e-12)
@@ -419,7 +412,7 @@ def with_point(monkeypatch, late_s: float, joins: bool = True) -> Estimate:
     )
     monkeypatch.setattr("ssac.methods.tangency.body_points", lambda *_: points)
     rules = replace(VIEWS.rules.tangency, joins_body=joins)
-    return with_body(tangents_alone(), VIEWS.by(tangency=rules))
+    return tangency.with_body(tangents_alone(), VIEWS.by(tangency=rules))
 
 
 def test_one_point_of_the_body_makes_the_tangents_surer(monkeypatch):

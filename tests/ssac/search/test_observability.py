@@ -8,16 +8,7 @@ import pytest
 from ssac.config import MIN_SWINGS, Config
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.rules import Rules
-from ssac.search.offset_search import (
-    ambiguous_offset,
-    at_rest,
-    coarse_to_fine_search,
-    no_match,
-    open_fundamental,
-    too_little_motion,
-    unusable,
-    valleys,
-)
+from ssac.search import offset_search
 from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
 from ssac.track.denoise import Clutter
@@ -62,8 +53,8 @@ def test_a_sine_swings_twice_a_period_where_both_cameras_see_it(hz, t_d_s, rel):
     # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
     expected = 2 * hz * (8.0 - t_d_s)
     assert views.swings(views.pairs_at(t_d_s)) == pytest.approx(expected, rel=rel)
-    assert too_little_motion(3.4, MIN_SWINGS) is not None
-    assert too_little_motion(3.6, MIN_SWINGS) is None
+    assert offset_search.too_little_motion(3.4, MIN_SWINGS) is not None
+    assert offset_search.too_little_motion(3.6, MIN_SWINGS) is None
 
 
 def test_rest_is_measured_in_sizes_of_the_object():
@@ -72,7 +63,7 @@ def test_rest_is_measured_in_sizes_of_the_object():
             both = (wave(0.7, phase, reach_px=reach * size_px) for phase in (0.0, 1.5))
             view = view_of(motion_along(*both, size_px=size_px), RULES.view)
             # The object's rms size is over both axes: 2**0.5 times the deviation of one.
-            assert (at_rest((view, view), SEARCH) is not None) == rests
+            assert (offset_search.at_rest((view, view), SEARCH) is not None) == rests
 
 
 MOVES = denoised(events_along(wave(0.7), wave(1.1)))
@@ -96,7 +87,7 @@ UNSEARCHABLE = [  # in the order of the stages
 @pytest.mark.parametrize(("one", "other", "status", "said"), UNSEARCHABLE)
 def test_what_cannot_be_searched_is_refused_with_advice(one, other, status, said):
     refusal, swapped = (
-        unusable(views_of(*cleans, SCENE.rig, Config()), cleans, (-1.0, 1.0))
+        offset_search.unusable(views_of(*cleans, SCENE.rig, Config()), cleans, (-1.0, 1.0))
         for cleans in ((one, other), (other, one))
     )
     assert (refusal.status, swapped.status) == (status, status)
@@ -107,16 +98,17 @@ def test_valleys_are_where_the_cost_is_low():
     costs = np.full(len(OFFSETS_S), 10.0)
     for offset_s, least in ((0.05, 1.0), (-0.7, 2.7), (0.6, 3.3)):
         costs = np.minimum(costs, least + 200.0 * np.abs(OFFSETS_S - offset_s))
-    found = valleys(OFFSETS_S, costs, 0.05, SEARCH)
+    found = offset_search.valleys(OFFSETS_S, costs, 0.05, SEARCH)
     assert [valley.least_s for valley in found] == pytest.approx([0.05, -0.7], abs=1e-3)
-    assert "-0.700 s" in ambiguous_offset(found, Config.max_valley_s).reason
-    assert ambiguous_offset(found[:1], Config.max_valley_s) is None
+    assert "-0.700 s" in offset_search.ambiguous_offset(found, Config.max_valley_s).reason
+    assert offset_search.ambiguous_offset(found[:1], Config.max_valley_s) is None
     plateau = np.where(np.abs(OFFSETS_S) < 0.6 * Config.max_valley_s, 1.0, 10.0)
-    refusal = ambiguous_offset(valleys(OFFSETS_S, plateau, 0.0, SEARCH), Config.max_valley_s)
+    wide = offset_search.valleys(OFFSETS_S, plateau, 0.0, SEARCH)
+    refusal = offset_search.ambiguous_offset(wide, Config.max_valley_s)
     assert refusal.status == "ambiguous_offset"
     # Residuals are measured in sizes of the object.
-    assert no_match(1.0, 10.0, SEARCH) is None
-    assert no_match(5.0, 10.0, SEARCH).status == "no_match"
+    assert offset_search.no_match(1.0, 10.0, SEARCH) is None
+    assert offset_search.no_match(5.0, 10.0, SEARCH).status == "no_match"
 
 
 @pytest.mark.parametrize("rival_s", [-0.613, 0.477])
@@ -125,9 +117,9 @@ def test_the_search_finds_rivals_between_its_coarse_steps(rival_s):
         main, rival = np.abs(offsets_s - 0.053), np.abs(offsets_s - rival_s)
         return np.minimum(np.minimum(0.5 + 130.0 * main, 0.6 + 130.0 * rival), 12.0)
 
-    search = coarse_to_fine_search(cost, cost, OFFSETS_S, 20, SEARCH)
+    search = offset_search.coarse_to_fine_search(cost, cost, OFFSETS_S, 20, SEARCH)
     assert search.t_d_s == pytest.approx(0.053, abs=2e-3)
-    found = valleys(search.candidates_s, search.d_avg_px, search.t_d_s, SEARCH)
+    found = offset_search.valleys(search.candidates_s, search.d_avg_px, search.t_d_s, SEARCH)
     assert len(found) == 2
     assert found[1].least_s == pytest.approx(rival_s, abs=1.5e-3)
 
@@ -186,8 +178,8 @@ def test_a_planar_path_leaves_the_fundamental_matrix_open_with_noise_and_without
     assert second_best(*free) > 14.0
     # All of a two-parameter family of F fit alike; only noise makes one fit better than another.
     assert second_best(*planar) < 7.0
-    assert open_fundamental(*free, SEARCH) is None
-    assert open_fundamental(*planar, SEARCH).status == "degenerate_pose"
+    assert offset_search.open_fundamental(*free, SEARCH) is None
+    assert offset_search.open_fundamental(*planar, SEARCH).status == "degenerate_pose"
 
 
 @pytest.mark.parametrize(
