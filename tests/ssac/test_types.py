@@ -1,7 +1,7 @@
 """Tests the types that all stages share: events, cameras, clocks, estimates, and rules."""
 
 import ast
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import asdict, replace
 from itertools import combinations, pairwise
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ssac
-from experiments.lab.grid import configs_of
+from experiments.lab.grid import _flat, configs_of
 from sim.scene.rig import Camera as SimulatedCamera
 from ssac import Chain, Config
 from ssac.camera import (
@@ -307,17 +307,7 @@ def test_a_delay_moves_all_offsets_of_an_estimate():
 
 # --- Rules ---
 
-
-def rules_of(group, prefix=""):
-    for one in fields(group):
-        value = getattr(group, one.name)
-        if is_dataclass(value):
-            yield from rules_of(value, f"{prefix}{one.name}.")
-        else:
-            yield f"{prefix}{one.name}", value
-
-
-RULES = dict(rules_of(Rules()))
+RULES = dict(_flat(asdict(Rules())))
 
 
 def other(value):
