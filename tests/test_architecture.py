@@ -45,7 +45,7 @@ def module_files() -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def imports() -> grimp.ImportGraph:
+def imports():
     return grimp.build_graph(
         *SESSION["root_packages"], include_external_packages=True, cache_dir=None
     )
@@ -59,7 +59,7 @@ def broken(imports: grimp.ImportGraph) -> Iterator[str]:
             yield options["name"]
 
 
-def test_folders_are_two_levels(imports: grimp.ImportGraph) -> None:
+def test_folders_are_two_levels(imports):
     assert not [name for name in imports.modules if name.count(".") > 2]
 
 
@@ -81,13 +81,13 @@ def test_folders_are_two_levels(imports: grimp.ImportGraph) -> None:
         ("ssac.estimate", "ssac", SHOWN),
     ],
 )
-def test_a_wrong_import_is_found(imports, importer, imported, contract) -> None:
+def test_a_wrong_import_is_found(imports, importer, imported, contract):
     changed = deepcopy(imports)
     changed.add_import(importer=importer, imported=imported)
     assert contract in broken(changed)
 
 
-def test_a_circle_within_a_folder_is_found(imports: grimp.ImportGraph) -> None:
+def test_a_circle_within_a_folder_is_found(imports):
     """Only this contract breaks, as all contracts are kept without the circle."""
     changed = deepcopy(imports)
     for one, other in (("one", "other"), ("other", "one")):
@@ -96,13 +96,13 @@ def test_a_circle_within_a_folder_is_found(imports: grimp.ImportGraph) -> None:
 
 
 @pytest.mark.parametrize("package", SESSION["root_packages"])
-def test_a_new_folder_needs_a_place(imports: grimp.ImportGraph, package: str) -> None:
+def test_a_new_folder_needs_a_place(imports, package):
     changed = deepcopy(imports)
     changed.add_module(f"{package}.new")
     assert list(broken(changed)) == [f"Data flow one way through {package}"]
 
 
-def test_both_sides_have_the_same_events() -> None:
+def test_both_sides_have_the_same_events():
     from sim.sensor.kernels import EVENT_DTYPE as SIMULATED
     from ssac.events import EVENT_DTYPE as READ
 

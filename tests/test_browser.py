@@ -8,7 +8,6 @@ SSAC_BROWSER is "required", as in `.ci/run`.
 import os
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -56,7 +55,7 @@ LOOKS += [(kind, *screen) for kind in SITE for screen in (SCREENS[0], SCREENS[-1
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     if CHROMIUM is None:
         missing("Chromium")
     with playwright.sync_playwright() as running:
@@ -67,7 +66,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def pages(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def pages(recorded, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     pair, rig = [Path(file) for file in recorded.pair], recorded / "rig.yaml"
     found = {kind: folder / f"{kind}.html" for kind in KINDS}
@@ -125,10 +124,10 @@ class Opened:
 
 
 @pytest.fixture
-def opened(browser: Any, pages: dict[str, Path]) -> Iterator[Any]:
+def opened(browser, pages):
     made: list[Opened] = []
 
-    def make(kind: str, **screen: Any) -> Opened:
+    def make(kind, **screen):
         if kind in SITE:
             if not (DOCS / "index.html").exists():
                 missing("the site", "docs")
@@ -144,7 +143,7 @@ def opened(browser: Any, pages: dict[str, Path]) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_player_runs_without_a_message_or_a_request(kind: str, opened: Any) -> None:
+def test_the_player_runs_without_a_message_or_a_request(kind, opened):
     page = opened(kind)
     page.page.wait_for_timeout(200)  # a few frames
     assert page.drawn("view1") > 0
@@ -174,7 +173,7 @@ def test_the_player_runs_without_a_message_or_a_request(kind: str, opened: Any) 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> None:
+def test_the_keyboard_reaches_and_moves_all_controls(kind, opened):
     page = opened(kind)
     page.unfold()
     controls = page.page.locator("button:visible, input:visible, select:visible, summary:visible")
@@ -200,7 +199,7 @@ def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> 
 
 
 @pytest.mark.parametrize(("kind", "width", "scheme"), LOOKS)
-def test_all_readers_can_read_it(kind: str, width: int, scheme: str, opened: Any) -> None:
+def test_all_readers_can_read_it(kind, width, scheme, opened):
     if not AXE.exists():
         missing("axe")
     # Motion is reduced, as animations would be redrawn for as long as axe runs.
@@ -218,7 +217,7 @@ def test_all_readers_can_read_it(kind: str, width: int, scheme: str, opened: Any
     assert said == []
 
 
-def test_a_search_begins_with_the_page_that_answers(opened: Any) -> None:
+def test_a_search_begins_with_the_page_that_answers(opened):
     page = opened("search")
     page.page.get_by_text("Search finished").wait_for()
     found = page.page.locator("#search-results li a")
@@ -227,7 +226,7 @@ def test_a_search_begins_with_the_page_that_answers(opened: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ["index", "tour"])
-def test_a_figure_opens_and_closes_by_keyboard(kind: str, opened: Any) -> None:
+def test_a_figure_opens_and_closes_by_keyboard(kind, opened):
     page = opened(kind)
     page.page.locator("button.figure").first.press("Enter")
     dialog = page.page.locator("dialog")
@@ -238,7 +237,7 @@ def test_a_figure_opens_and_closes_by_keyboard(kind: str, opened: Any) -> None:
     assert not re.search(r"\bdocs/\w+\.md\b", page.page.locator("article").inner_text())
 
 
-def test_nothing_is_skipped_where_all_could_be_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_skipped_where_all_could_be_installed(monkeypatch):
     monkeypatch.setenv("SSAC_BROWSER", "required")
     with pytest.raises(pytest.fail.Exception, match="make browser"):
         missing("axe")

@@ -8,7 +8,7 @@ import json
 import re
 import resource
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -174,7 +174,7 @@ EVENTS = [name for name in FORMS if name not in BAGS]
 
 
 @pytest.fixture
-def within_memory() -> Iterator[None]:
+def within_memory():
     before = resource.getrlimit(resource.RLIMIT_AS)
     n_pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = n_pages * resource.getpagesize() + MAX_BYTES
@@ -190,7 +190,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_loses_nothing_unsaid(name, tmp
     write, use = OTHERS.get(name, (lambda path: FORMS[name](path, random_events()), None))
     write(path)
 
-    def n_used(reading: Reading = STRICT) -> object:
+    def n_used(reading=STRICT):
         return use(path) if use else len(load_events(path, reading).events)
 
     whole, n_whole = path.read_bytes(), n_used()

@@ -36,7 +36,7 @@ def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     assert float(re.findall(r"^heights: .* off by ([\d.]+) ms", said, re.MULTILINE)[0]) <= 20
 
 
-def test_a_video_becomes_the_track_of_what_moves_in_it(tmp_path: Path) -> None:
+def test_a_video_becomes_the_track_of_what_moves_in_it(tmp_path):
     fps, size = 30.0, (160, 120)
     frames = np.arange(90)
     path_px = np.column_stack([80 + 50 * np.cos(0.1 * frames), 60 + 35 * np.sin(0.13 * frames)])
@@ -73,7 +73,7 @@ def test_the_readme_shows_what_its_commands_and_its_python_print(tmp_path, monke
 
 
 @pytest.mark.parametrize("name", [one for one in ssac.__all__ if is_dataclass(getattr(ssac, one))])
-def test_the_reference_says_what_each_field_is(name: str) -> None:
+def test_the_reference_says_what_each_field_is(name):
     one = getattr(ssac, name)
     said = {
         field

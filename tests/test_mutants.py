@@ -8,7 +8,7 @@ MUTANTS = mutants()
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[one.name for one in MUTANTS])
-def test_a_mutant_can_be_made_and_has_tests(mutant: Mutant) -> None:
+def test_a_mutant_can_be_made_and_has_tests(mutant):
     mutated = mutant.mutated(ROOT)
     compile(mutated, mutant.file, "exec")
     assert mutated != (ROOT / mutant.file).read_text(encoding="utf-8")
@@ -17,12 +17,12 @@ def test_a_mutant_can_be_made_and_has_tests(mutant: Mutant) -> None:
     assert all((ROOT / one).exists() for one in places)
 
 
-def test_there_are_sixty_of_all_packages() -> None:
+def test_there_are_sixty_of_all_packages():
     assert len({one.name for one in MUTANTS}) == len(MUTANTS) >= 60
     assert {one.file.split("/")[0] for one in MUTANTS} == {"sim", "ssac", "experiments"}
 
 
-def test_a_list_that_is_older_than_the_code_is_an_error() -> None:
+def test_a_list_that_is_older_than_the_code_is_an_error():
     stale = Mutant("stale", "sim/seeds.py", "no such text", "", "nothing")
     with pytest.raises(ValueError, match=r"stale: expected its text once in sim/seeds\.py"):
         stale.mutated(ROOT)

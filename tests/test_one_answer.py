@@ -38,11 +38,11 @@ recordings lack, and one where it takes seconds to separate the objects."""
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch) -> dict[bytes, dict[Any, Any]]:
+def found(monkeypatch):
     """Results by files and rig, which the chains of these share until the test clears them."""
     of_chains, init = dict[bytes, dict[Any, Any]](), Chain.__init__
 
-    def begun(chain: Chain, cameras: Any, rig: Any, *more: Any) -> None:
+    def begun(chain, cameras, rig, *more):
         init(chain, cameras, rig, *more)
         if all(isinstance(camera, Recording) for camera in cameras):
             chain._kept = of_chains.setdefault(pickle.dumps(([*cameras], chain.rig)), {})

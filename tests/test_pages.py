@@ -1,7 +1,6 @@
 """Tests that the pages name the right folders, links and versions, and are short enough."""
 
 import re
-from pathlib import Path
 
 import pytest
 import yaml
@@ -20,7 +19,7 @@ _PATH = re.compile(r"`((?:sim|ssac|experiments|tests|docs)/[\w./-]*)`")
 _MADE = "results/"  # files that commands make, and `ssac verify` checks
 
 
-def test_the_folders_of_the_architecture_are_those_there_are() -> None:
+def test_the_folders_of_the_architecture_are_those_there_are():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     told = re.findall(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", text, re.MULTILINE)
     assert all((ROOT / package / "py.typed").is_file() for package in FLOORS)
@@ -33,7 +32,7 @@ def test_the_folders_of_the_architecture_are_those_there_are() -> None:
     assert sorted(told) == sorted(there), "docs/architecture.md: the table of folders"
 
 
-def test_the_way_of_a_recording_follows_the_arrows() -> None:
+def test_the_way_of_a_recording_follows_the_arrows():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     way = text.split("## The way of one recording")[1].split("##")[0]
     packages = list(FLOORS)
@@ -46,7 +45,7 @@ def test_the_way_of_a_recording_follows_the_arrows() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere_and_lines_fit(page: Path) -> None:
+def test_links_lead_somewhere_and_lines_fit(page):
     text = page.read_text(encoding="utf-8")
     links = [
         link for link in _LINK.findall(text) if not link.startswith("http") and _MADE not in link
@@ -63,13 +62,13 @@ def test_links_lead_somewhere_and_lines_fit(page: Path) -> None:
     assert not [one for one in lines if len(one) > MAX_WIDTH and not one.startswith("|")]
 
 
-def test_the_pages_are_short_enough_to_be_read() -> None:
+def test_the_pages_are_short_enough_to_be_read():
     texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
     assert not [name for name, text in texts.items() if text.count("\n") > PAGE_LINES]
     assert sum(len(text.split()) for text in texts.values()) <= WORDS
 
 
-def test_the_readme_is_short_and_shows_its_first_screen() -> None:
+def test_the_readme_is_short_and_shows_its_first_screen():
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= README_LINES
     first = "\n".join(lines[:20])
@@ -77,7 +76,7 @@ def test_the_readme_is_short_and_shows_its_first_screen() -> None:
     assert first.index("![") < first.index("make demo") < first.index("p2(t + t_d)'")
 
 
-def test_how_to_cite_names_this_version_and_the_paper() -> None:
+def test_how_to_cite_names_this_version_and_the_paper():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert f'version = "{citation["version"]}"' in project

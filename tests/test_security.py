@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -30,7 +29,7 @@ def faults(*arguments: str, source: str = "") -> str:
     return done.stdout + "".join(OTHERS.findall(source))
 
 
-def test_no_module_runs_what_stands_in_a_file() -> None:
+def test_no_module_runs_what_stands_in_a_file():
     assert faults("sim", "ssac", "experiments") == ""
     paths = module_files().values()
     assert not [path for path in paths if OTHERS.search(path.read_text(encoding="utf-8"))]
@@ -49,11 +48,11 @@ def test_no_module_runs_what_stands_in_a_file() -> None:
         "import os; os.system(text)",
     ],
 )
-def test_it_would_be_seen(line: str) -> None:
+def test_it_would_be_seen(line):
     assert faults("--stdin-filename", "ssac/new.py", "-", source=line)
 
 
-def test_a_rig_constructs_no_objects(tmp_path: Path) -> None:
+def test_a_rig_constructs_no_objects(tmp_path):
     made = tmp_path / "made"
     (tmp_path / "rig.yaml").write_text(f"cam0: !!python/object/apply:os.mkdir ['{made}']\n")
     with pytest.raises(ValueError, match=r"rig\.yaml: not a readable YAML file"):
@@ -61,7 +60,7 @@ def test_a_rig_constructs_no_objects(tmp_path: Path) -> None:
     assert not made.exists()
 
 
-def test_a_rig_that_grows_without_end_is_one_short_error(tmp_path: Path) -> None:
+def test_a_rig_that_grows_without_end_is_one_short_error(tmp_path):
     levels = "".join(f"a{k}: &a{k} [{', '.join(9 * [f'*a{k - 1}'])}]\n" for k in range(1, 12))
     text = f"a0: &a0 [1]\n{levels}cam0: &cam\n  camera_model: pinhole\n  intrinsics: *a11\n"
     text += "  distortion_model: none\n  resolution: [346, 260]\ncam1: *cam\n"

@@ -40,12 +40,12 @@ KINDS = {
 }
 
 
-def drawn(config: DisturbConfig, seed: int = 0, camera: int = 0) -> np.ndarray:
+def drawn(config, seed=0, camera=0):
     return clutter(config, VIEW, seed, camera)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_clutter_is_in_order_within_view_and_time_and_drawn_by_seed_and_camera(kind: str) -> None:
+def test_clutter_is_in_order_within_view_and_time_and_drawn_by_seed_and_camera(kind):
     events = drawn(KINDS[kind])
     assert len(events) > 500
     assert np.all(np.diff(events["t"]) >= 0)
@@ -57,14 +57,14 @@ def test_clutter_is_in_order_within_view_and_time_and_drawn_by_seed_and_camera(k
         assert len(other) != len(events) or not np.array_equal(other, events)
 
 
-def test_one_disturbance_more_leaves_the_others_as_they_are() -> None:
+def test_one_disturbance_more_leaves_the_others_as_they_are():
     assert len(drawn(DisturbConfig())) == 0
     both = drawn(DisturbConfig(hot_clusters=5, people=3))
     apart = merged(drawn(KINDS["clusters"]), drawn(KINDS["people"]))
     assert np.array_equal(both, apart)
 
 
-def test_a_lamp_is_a_square_that_flickers_at_100_hz() -> None:
+def test_a_lamp_is_a_square_that_flickers_at_100_hz():
     events = drawn(KINDS["lamp"])
     assert np.ptp(events["x"]) + 1 == np.ptp(events["y"]) + 1 == 6
     # Only events that the jitter moves beyond the ends are lost.
@@ -75,7 +75,7 @@ def test_a_lamp_is_a_square_that_flickers_at_100_hz() -> None:
     assert np.mean(events["p"]) == pytest.approx(0.5, abs=1e-3)
 
 
-def test_hot_clusters_are_squares_of_pixels_that_fire_on_and_on() -> None:
+def test_hot_clusters_are_squares_of_pixels_that_fire_on_and_on():
     events = drawn(KINDS["clusters"])
     pixels, counts = np.unique(events["x"].astype(int) * 1000 + events["y"], return_counts=True)
     assert len(pixels) == 5 * CLUSTER_PX**2  # of these seeds, no two overlap
@@ -84,7 +84,7 @@ def test_hot_clusters_are_squares_of_pixels_that_fire_on_and_on() -> None:
     assert events["p"].all()
 
 
-def test_noise_has_its_rate_everywhere() -> None:
+def test_noise_has_its_rate_everywhere():
     events = drawn(KINDS["noise"])
     expected = VIEW.width * VIEW.height * VIEW.duration_s
     assert len(events) == pytest.approx(expected, abs=5 * np.sqrt(expected))
@@ -92,14 +92,14 @@ def test_noise_has_its_rate_everywhere() -> None:
     assert halves == pytest.approx([0.5] * 3, abs=5 * 0.5 / np.sqrt(expected))
 
 
-def test_branches_stay_about_their_places_and_fire_while_they_move() -> None:
+def test_branches_stay_about_their_places_and_fire_while_they_move():
     events = drawn(KINDS["branches"])
     assert 10_000 < len(events) <= 20_000  # some sway out of the view
     place = np.unique(events["x"] // 40 * 100 + events["y"] // 40)
     assert len(place) < 45  # of 63 tiles: a dozen places, each in four tiles at most
 
 
-def test_people_walk_in_over_a_side() -> None:
+def test_people_walk_in_over_a_side():
     events = drawn(DisturbConfig(people=1))
     first, last = (events["x"][part].astype(float) for part in (slice(200), slice(-200, None)))
     sides = min(first.min(), VIEW.width - 1 - first.max())
@@ -108,7 +108,7 @@ def test_people_walk_in_over_a_side() -> None:
     assert np.ptp(events["y"]) <= 0.3 * VIEW.height
 
 
-def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself() -> None:
+def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself():
     events = drawn(KINDS["noise"])
     assert len(thinned(events, 0.0, 0, 0)) == 0
     np.testing.assert_array_equal(thinned(events, 1.0, 0, 0), events)
@@ -121,7 +121,7 @@ def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself() -> None:
     assert len({second_seed(seed) for seed in range(100)} | set(range(100))) == 200
 
 
-def test_wrong_intrinsics_are_draws_of_the_stated_deviations() -> None:
+def test_wrong_intrinsics_are_draws_of_the_stated_deviations():
     K = np.array([[200.0, 0.0, 173.0], [0.0, 210.0, 130.0], [0.0, 0.0, 1.0]])
     config = DisturbConfig(intrinsics_error=(1.0, 3.0))
     errors = np.empty((400, 2, 4))
@@ -142,7 +142,7 @@ def test_wrong_intrinsics_are_draws_of_the_stated_deviations() -> None:
     assert not none.any()
 
 
-def test_clutter_bears_the_clock_of_the_camera_that_sees_it() -> None:
+def test_clutter_bears_the_clock_of_the_camera_that_sees_it():
     drifting = {"t_d_s": 0.25, "skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
     config = replace(QUICK, render=RenderConfig(Lattice(2, 0), check=False), **drifting)
     recording, added = simulate(config, 5), DisturbConfig(noise_hz=0.5)
@@ -158,7 +158,7 @@ def test_clutter_bears_the_clock_of_the_camera_that_sees_it() -> None:
         assert len(noise) > 30_000
 
 
-def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
+def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border():
     sky = cloudy_sky(SMALL_VIEW, np.random.default_rng(0))
     assert sky.shape == (256, 256)
     low, high = (np.float32(light) for light in (SKY_LUMINANCE, CLOUD_LUMINANCE))
@@ -173,7 +173,7 @@ def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
         assert np.sqrt(np.mean(across**2)) < 3.0 * np.sqrt(np.mean(steps**2))
 
 
-def test_clouds_twice_as_fast_make_twice_the_events_all_along() -> None:
+def test_clouds_twice_as_fast_make_twice_the_events_all_along():
     slow, fast = (clouds(SMALL_VIEW, speed, np.random.default_rng(7)) for speed in (4.0, 8.0))
     # In its first half the fast sky moves as far as the slow one in all; later parts differ.
     first = fast[fast["t"] < 1e6]

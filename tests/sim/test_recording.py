@@ -1,12 +1,9 @@
 from dataclasses import asdict, replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 import sim.render.native
 from sim.effects.config import SENSOR_PRESETS
@@ -14,7 +11,6 @@ from sim.errors import SimError
 from sim.recorded import Drift, drift_of
 from sim.recording import simulate, stream
 from sim.scene.flyers import DRONES, built_in_drone
-from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_from_csv, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
@@ -29,7 +25,7 @@ DIM = SENSOR_PRESETS["davis346-dim"]
 
 
 @pytest.mark.parametrize("preset", [*PRESETS, "davis346-dim"])
-def test_a_seed_is_a_recording(preset: str) -> None:
+def test_a_seed_is_a_recording(preset):
     config = replace(QUICK, sensor=PRESETS.get(preset, DIM.sensor))
     if preset not in PRESETS:
         config = replace(config, effects=DIM.effects)
@@ -45,7 +41,7 @@ def test_a_seed_is_a_recording(preset: str) -> None:
         assert camera.events["y"].max() < 260
 
 
-def test_noise_differs_between_cameras_and_seeds() -> None:
+def test_noise_differs_between_cameras_and_seeds():
     config = replace(QUICK, sensor=replace(PRESETS["davis346"], background_hz=1.0))
     still = sum(counts(camera.events, (260, 346)) for camera in simulate(QUICK, 3).cameras) == 0
     noise = [counts(camera.events, (260, 346))[still] for camera in simulate(config, 3).cameras]
@@ -54,13 +50,13 @@ def test_noise_differs_between_cameras_and_seeds() -> None:
     assert abs(np.corrcoef(noise[0], noise[1])[0, 1]) < 5 / still.sum() ** 0.5
 
 
-def test_events_and_frames_show_the_drone_where_it_was() -> None:
+def test_events_and_frames_show_the_drone_where_it_was():
     """The scene's time is camera 1's, and camera 2's minus the offset."""
     recording = simulate(replace(QUICK, t_d_s=0.25, frames=FrameConfig(20.0, 0.002)), 2)
     truth = recording.truth
     for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
 
-        def centre_px(scene_s: Any, centres_px: NDArray[Any] = centres_px) -> list[Any]:
+        def centre_px(scene_s, centres_px=centres_px):
             return [np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1)]
 
         scene_s = 1e-6 * camera.events["t"] - camera.camera.time_offset_s
@@ -84,7 +80,7 @@ def test_events_and_frames_show_the_drone_where_it_was() -> None:
                 assert np.hypot(xs.mean() - x, ys.mean() - y) < 10.0
 
 
-def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
+def test_a_scene_is_what_its_configuration_names(tmp_path):
     drones = [replace(QUICK, drone=name).scene(1).drone for name in DRONES]
     light = [drone.parts[0].albedo.sum() for drone in drones]
     assert light == [built_in_drone(name).parts[0].albedo.sum() for name in DRONES]
@@ -114,7 +110,7 @@ def test_a_scene_is_what_its_configuration_names(tmp_path: Path) -> None:
         replace(config, rotor_hz=20.0).scene(1)
 
 
-def test_a_drone_that_is_never_in_view() -> None:
+def test_a_drone_that_is_never_in_view():
     spline = replace(QUICK.spline, offset_xyz_m=(0.0, 0.0, 60.0))
     recording = simulate(replace(QUICK, spline=spline), 1)
     for camera in recording.cameras:
@@ -126,8 +122,8 @@ def test_a_drone_that_is_never_in_view() -> None:
     assert 10_000 < len(noisy.cameras[0].events) < 30_000
 
 
-def test_progress_goes_from_0_to_1_and_the_backend_is_recorded() -> None:
-    seen: list[float] = []
+def test_progress_goes_from_0_to_1_and_the_backend_is_recorded():
+    seen = []
     recording = simulate(QUICK, 1, seen.append)
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] == 1.0
@@ -136,12 +132,12 @@ def test_progress_goes_from_0_to_1_and_the_backend_is_recorded() -> None:
     assert recording.n_instants > 100
 
 
-def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch):
     """Frames come one by one and events in order; few of either are left for a camera's end."""
     monkeypatch.setattr(sim.render.native, "BATCH", 32)  # as there are few instants
-    cameras: dict[str, list[tuple[str, Any]]] = {}
+    cameras = {}
 
-    def open_sink(camera: Camera, times_us: NDArray[np.int64], _: float) -> Any:
+    def open_sink(camera, times_us, _):
         assert all(calls[-1][0] == "close" for calls in cameras.values())
         calls = cameras[camera.name] = [("open", len(times_us))]
         return SimpleNamespace(
@@ -164,7 +160,7 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("skew_ppm", [0.0, 50.0, -50.0, 100_000.0, -100_000.0])
-def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm: float) -> None:
+def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm):
     times_us = np.arange(0, 2_000_000, 7)
     drift = drift_of(skew_ppm, None, 2.0)
     expected_us = skew_ppm * 1e-6 * (times_us - 1e6)
@@ -174,7 +170,7 @@ def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm: 
     assert np.diff(dense_us + drift.added_us(dense_us)).min() >= 0
 
 
-DRIFTING: dict[str, Any] = {"skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
+DRIFTING = {"skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -182,9 +178,7 @@ DRIFTING: dict[str, Any] = {"skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
     "clock",
     [*({"t_d_s": t_d_s} for t_d_s in (-0.7, 1e-6)), DRIFTING, DRIFTING | {"t_d_s": 0.0123456}],
 )
-def test_a_clock_changes_the_stamps_of_camera_2_and_nothing_else(
-    clock: dict[str, Any], preset: str
-) -> None:
+def test_a_clock_changes_the_stamps_of_camera_2_and_nothing_else(clock, preset):
     """So one recording serves all offsets, to the last bit."""
     config = replace(QUICK, sensor=PRESETS[preset])
     plain, clocked = simulate(config, 5), simulate(replace(config, **clock), 5)

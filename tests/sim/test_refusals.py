@@ -1,10 +1,8 @@
 """Tests that invalid values are refused in one line that says what was expected, and what came."""
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +44,7 @@ FOLDED = [
         ("equidistant", (-1.0, 0.0, 0.0, 0.0)),
     )
 ]
-POSITIVE: dict[Any, tuple[str, ...]] = {
+POSITIVE = {
     SensorConfig: ("threshold_on", "threshold_off", "log_eps"),
     SplineConfig: ("duration_s", "sampling_hz", "segments_per_s", "smoothing"),
     SamplingConfig: ("max_step_px", "min_rate_hz"),
@@ -65,7 +63,7 @@ NUMBERS = [
 @pytest.mark.parametrize(
     ("config", "name"), [*NUMBERS, (FrameConfig, "rate_hz"), (CalibrationConfig, "corner_std_px")]
 )
-def test_numbers_that_must_not_be_negative(config: Any, name: str, value: float) -> None:
+def test_numbers_that_must_not_be_negative(config, name, value):
     with pytest.raises(SimError, match=rf"{name} .*(0|positive).* got {value}"):
         config(**{name: value})
 
@@ -74,18 +72,18 @@ def test_numbers_that_must_not_be_negative(config: Any, name: str, value: float)
 @pytest.mark.parametrize(
     ("config", "name"), [(config, name) for config, names in POSITIVE.items() for name in names]
 )
-def test_numbers_that_must_be_positive(config: Any, name: str, value: float) -> None:
+def test_numbers_that_must_be_positive(config, name, value):
     with pytest.raises(SimError, match=f"{name} must be (0 or )?a positive number, got {value}"):
         config(**{name: value})
 
 
-def video(light: float = 0.5, k: int = 0) -> np.ndarray:
+def video(light=0.5, k=0):
     frames = GREY.copy()
     frames[k, 1, 2] = light
     return frames
 
 
-CASES: list[tuple[Callable[[], Any], str]] = [
+CASES = [
     # Sensor and frames.
     (lambda: SensorConfig(hot_pixel_share=1.5), "hot_pixel_share is a share of 1"),
     *((lambda e=e: FrameConfig(50.0, e), r"at most 1 / rate_hz = 0\.02 s")
@@ -186,9 +184,7 @@ BENCH = bench_rig(TwinConfig())
 
 
 @pytest.mark.parametrize(("ask", "message"), CASES)
-def test_what_makes_no_sense_is_refused(
-    ask: Callable[[], Any], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_makes_no_sense_is_refused(ask, message, monkeypatch):
     monkeypatch.setattr(sim.twin.calibration, "MAX_TRIES", 100)
     with pytest.raises(SimError, match=message):
         ask()
@@ -196,19 +192,19 @@ def test_what_makes_no_sense_is_refused(
 
 # A narrow view never reaches the fold.
 @pytest.mark.parametrize("lens", FOLDED)
-def test_distortion_that_folds_the_image_is_refused(lens: dict[str, Any]) -> None:
+def test_distortion_that_folds_the_image_is_refused(lens):
     with pytest.raises(SimError, match=r"cam1: the .* fold the image back on itself"):
         two_view_rig(90.0, **lens)
     two_view_rig(90.0, focal_px=2000.0, **lens)
 
 
-def wall_with(light: float) -> np.ndarray:
+def wall_with(light):
     wall = np.full((48, 64), 0.5)
     wall[3, 4] = light
     return wall
 
 
-def two_arrays() -> bytes:
+def two_arrays():
     file = BytesIO()
     np.savez(file, one=wall_with(0.5), other=wall_with(0.5))
     return file.getvalue()
@@ -256,7 +252,7 @@ PATHS = [
         ([ROW.format(t * 10**8, 0) for t in range(20)], r"must be in seconds.*divide by 1e9"),
     )
 ]
-READERS: dict[Callable[[Path], Any], list[tuple[str, Any, str]]] = {
+READERS = {
     drone_from_file: MESHES,
     lambda path: load_background(path, make_camera(resolution=(64, 48))): WALLS,
     trajectory_from_csv: PATHS,
@@ -267,9 +263,7 @@ READERS: dict[Callable[[Path], Any], list[tuple[str, Any, str]]] = {
     ("read", "name", "holds", "said"),
     [(read, *file) for read, files in READERS.items() for file in files],
 )
-def test_a_file_that_is_no_use_is_refused(
-    tmp_path: Path, read: Callable[[Path], Any], name: str, holds: Any, said: str
-) -> None:
+def test_a_file_that_is_no_use_is_refused(tmp_path, read, name, holds, said):
     path = tmp_path / name
     if isinstance(holds, np.ndarray):
         np.save(path, holds)

@@ -29,9 +29,7 @@ PROVENANCE = {"seed": 3, "spline": SPLINE, "files": ["a.csv"], "none": None, "on
 QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 
 
-def made_up_recording(
-    n_events: int = 5000, n_frames: int = 4, first_us: int = -1_234_567, seed: int = 0
-) -> Recording:
+def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567, seed=0):
     """Make a recording of random events, frames and poses, as no simulation is needed to write."""
     rng = np.random.default_rng(seed)
     rig = two_view_rig(
@@ -58,7 +56,7 @@ def made_up_recording(
     return Recording(rig, truth, 321, gl, RenderCheck(50, 9000, 0.004, 0.01), tuple(cameras))
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -66,9 +64,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     ("n_events", "n_frames", "first_us"),
     [(0, 1, 0), (1, 0, -400_000), (5000, 16, -1_234_567), (65_536, 0, 0), (140_000, 35, 7)],
 )
-def test_hdf5_and_esim_text_are_read_back(
-    tmp_path: Path, n_events: int, n_frames: int, first_us: int
-) -> None:
+def test_hdf5_and_esim_text_are_read_back(tmp_path, n_events, n_frames, first_us):
     recording = made_up_recording(n_events, n_frames, first_us)
     save_recording(recording, tmp_path / "out", {}, text=True)
     for camera in recording.cameras:
@@ -96,7 +92,7 @@ def test_hdf5_and_esim_text_are_read_back(
             np.testing.assert_array_equal(frames[1], camera.frames.images)
 
 
-def test_rigs_are_read_back(tmp_path: Path) -> None:
+def test_rigs_are_read_back(tmp_path):
     recording = made_up_recording()
     save_recording(recording, tmp_path / "out", {})
     assert load_rig(tmp_path / "out" / "rig.yaml").T_2_1 is None
@@ -109,7 +105,7 @@ def test_rigs_are_read_back(tmp_path: Path) -> None:
         assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact intrinsics
 
 
-def test_the_truth_is_complete(tmp_path: Path) -> None:
+def test_the_truth_is_complete(tmp_path):
     recording = made_up_recording()
     save_recording(recording, tmp_path / "out", PROVENANCE)
     truth = json.loads((tmp_path / "out" / "truth.json").read_text(), parse_constant=pytest.fail)
@@ -138,9 +134,7 @@ def test_the_truth_is_complete(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 70, 1000])
-def test_many_large_frames_are_not_waiting_for_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
-) -> None:
+def test_many_large_frames_are_not_waiting_for_each_other(tmp_path, monkeypatch, at_once):
     """The frames that are stored are the same, however few of them may be in memory at once."""
     monkeypatch.setattr(sim.storage, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
     recording = made_up_recording(n_frames=5)
@@ -152,7 +146,7 @@ def test_many_large_frames_are_not_waiting_for_each_other(
 
 
 @pytest.mark.render
-def test_the_same_bytes_are_written_after_a_simulation_and_meanwhile(tmp_path: Path) -> None:
+def test_the_same_bytes_are_written_after_a_simulation_and_meanwhile(tmp_path):
     recording = simulate(QUICK, 3)
     save_recording(recording, tmp_path / "after", PROVENANCE, text=True)
     time.sleep(1.1)  # time stamps within files have a resolution of a second
@@ -170,11 +164,11 @@ def test_the_same_bytes_are_written_after_a_simulation_and_meanwhile(tmp_path: P
 @pytest.mark.parametrize("step", ["CameraFiles", "save_events_text", "kalibr_yaml", "_truth"])
 @pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
 def test_nothing_is_left_of_a_recording_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: str, out: str
-) -> None:
+    tmp_path, monkeypatch, error, step, out
+):
     (tmp_path / "empty").mkdir()
 
-    def fail(*arguments: object, **options: object) -> None:
+    def fail(*arguments, **options):
         raise error
 
     monkeypatch.setattr(sim.storage, step, fail)
@@ -185,10 +179,10 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
 
 
 @pytest.mark.render
-def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path):
     out = tmp_path / "out"
 
-    def fill(share: float) -> None:
+    def fill(share):
         out.mkdir(exist_ok=True)
         (out / "notes.txt").write_text("mine")
 
@@ -206,7 +200,7 @@ def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path: Path) -> Non
         ("taken/notes.txt/out", r"cannot write the recording to .*notes\.txt/out"),
     ],
 )
-def test_what_is_there_is_left_alone(tmp_path: Path, out: str, reason: str) -> None:
+def test_what_is_there_is_left_alone(tmp_path, out, reason):
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
     with pytest.raises(SimError, match=reason):
@@ -215,9 +209,7 @@ def test_what_is_there_is_left_alone(tmp_path: Path, out: str, reason: str) -> N
 
 
 @pytest.mark.parametrize("out", ["new", "deep/er/new", "empty", "empty/", ".", "./", "../here"])
-def test_new_and_empty_folders_are_taken_and_the_present_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
-) -> None:
+def test_new_and_empty_folders_are_taken_and_the_present_one(tmp_path, monkeypatch, out):
     here = tmp_path / "here"
     (here / "empty" if "empty" in out else here).mkdir(parents=True)
     monkeypatch.chdir(here)

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from experiments.lab.provenance import plain
 from sim.effects.camera import CameraEffects, blurred_crops, blurred_image, point_spread, queued
@@ -22,15 +20,13 @@ from tests.sim.scenes import QUICK, rng, smooth_video
 SHORT = replace(QUICK, spline=SplineConfig(0.4), frames=FrameConfig(25.0))
 
 
-def camera_of(
-    effects: SensorEffects, frames: FrameConfig | None = None, index: int = 0, seed: int = 0
-) -> CameraEffects:
+def camera_of(effects, frames=None, index=0, seed=0):
     grey = np.full((200, 300), 0.5, np.float32)
     return CameraEffects(effects, SensorConfig(), frames or FrameConfig(), grey, seed, index)
 
 
 @pytest.mark.parametrize("blur_px", [0.3, 0.5, 1.5])
-def test_a_point_is_spread_by_the_blur(blur_px: float) -> None:
+def test_a_point_is_spread_by_the_blur(blur_px):
     weights = point_spread(blur_px)
     at = np.arange(len(weights)) - len(weights) // 2
     # Light beyond four deviations is cut off, which is two whole pixels for a blur of 0.5 px.
@@ -42,7 +38,7 @@ def test_a_point_is_spread_by_the_blur(blur_px: float) -> None:
     np.testing.assert_allclose(image.sum(axis=1)[20 + at[::-1]], weights, atol=1e-6)
 
 
-def test_crops_are_blurred_as_the_whole_image_is() -> None:
+def test_crops_are_blurred_as_the_whole_image_is():
     wall = smooth_video(1, 40, 50)[0]
     image = wall.copy()
     image[12:20, 15:30] = 0.9
@@ -56,9 +52,9 @@ def test_crops_are_blurred_as_the_whole_image_is() -> None:
     np.testing.assert_allclose(whole, blurred_image(image, 0.8), atol=2e-6)  # single precision
 
 
-def test_frames_have_noise_that_grows_with_the_light() -> None:
+def test_frames_have_noise_that_grows_with_the_light():
     effects = SensorEffects(frame_read_noise=0.008, frame_full_well_e=2000.0)
-    frames: list[NDArray[np.uint8]] = []
+    frames = []
     take = camera_of(effects).through_noise(lambda _, image: frames.append(image))
     for k, level in enumerate((0, 64, 128, 192)):
         take(k, np.full((200, 300), level, np.uint8))
@@ -70,7 +66,7 @@ def test_frames_have_noise_that_grows_with_the_light() -> None:
     assert frames[0].min() == 0  # nothing is darker than black
 
 
-def test_lamps_light_frames_as_their_exposures_catch_them() -> None:
+def test_lamps_light_frames_as_their_exposures_catch_them():
     effects = SensorEffects(flicker_depth=0.3)
     config = FrameConfig(rate_hz=40.0, exposure_s=0.002)
     camera, levels = camera_of(effects, config), list[float]()
@@ -83,7 +79,7 @@ def test_lamps_light_frames_as_their_exposures_catch_them() -> None:
     np.testing.assert_allclose(levels, expected, atol=0.6)
 
 
-def test_phases_of_frames_differ_between_cameras() -> None:
+def test_phases_of_frames_differ_between_cameras():
     effects = SensorEffects(frame_phase_spread=1.0)
     config = FrameConfig(rate_hz=25.0)
     starts_s = np.array(
@@ -96,7 +92,7 @@ def test_phases_of_frames_differ_between_cameras() -> None:
     assert abs(np.corrcoef(starts_s.T)[0, 1]) < 0.3
 
 
-def test_a_configuration_without_effects_is_written_as_before() -> None:
+def test_a_configuration_without_effects_is_written_as_before():
     assert "effects" not in plain(SimConfig())
     acting = plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]
     assert acting["blur_px"] == 0.5
@@ -104,7 +100,7 @@ def test_a_configuration_without_effects_is_written_as_before() -> None:
     assert plain(SensorEffects(scan_s=1e-3))["scan_s"] == 1e-3
 
 
-def test_an_effect_leaves_what_is_not_its_own() -> None:
+def test_an_effect_leaves_what_is_not_its_own():
     """Each sensor draws from its own stream: less light in camera 2 does not affect camera 1."""
     effects = SensorEffects(illuminance_lux=50.0, cutoff_hz_per_lux=30.0)
     one, two, with_gaps = (
@@ -119,7 +115,7 @@ def test_an_effect_leaves_what_is_not_its_own() -> None:
     assert len(with_gaps.cameras[0].events) < len(one.cameras[0].events)
 
 
-def test_the_page_names_every_effect_and_preset() -> None:
+def test_the_page_names_every_effect_and_preset():
     page = (Path(__file__).parents[3] / "docs" / "sensor.md").read_text(encoding="utf-8")
     shared = ("illuminance_lux", "camera2_light")
     missing = [name for name in (*vars(SensorEffects()), *SENSOR_PRESETS) if f"`{name}`" not in page
@@ -127,14 +123,14 @@ def test_the_page_names_every_effect_and_preset() -> None:
     assert not missing
 
 
-def events_at(times_us: NDArray[Any]) -> NDArray[Any]:
+def events_at(times_us):
     events = np.zeros(len(times_us), EVENT_DTYPE)
     events["t"] = np.sort(times_us)
     events["x"] = np.arange(len(times_us)) % 346
     return events
 
 
-def test_a_burst_is_stamped_late_and_then_dropped() -> None:
+def test_a_burst_is_stamped_late_and_then_dropped():
     burst = events_at(np.full(1000, 5000))
     delivered = queued(burst, readout_hz=1e5, queue=299)
     # One event is read out, 299 wait in the queue, the others are lost; a readout takes 10 us.
@@ -143,7 +139,7 @@ def test_a_burst_is_stamped_late_and_then_dropped() -> None:
 
 
 @pytest.mark.parametrize("load", [0.5, 0.8])
-def test_events_wait_as_in_a_queue_with_random_arrivals(load: float) -> None:
+def test_events_wait_as_in_a_queue_with_random_arrivals(load):
     """Mean wait of an M/D/1 queue: load / (2 (1 - load)) services (Pollaczek, Khinchin)."""
     service_us = 50.0
     arrivals_us = np.cumsum(rng(1).exponential(service_us / load, 400_000)).astype(np.int64)
@@ -155,7 +151,7 @@ def test_events_wait_as_in_a_queue_with_random_arrivals(load: float) -> None:
 
 
 @pytest.mark.parametrize(("gap_s", "rate_hz"), [(0.005, 25.0), (0.025, 25.0), (0.01, 50.0)])
-def test_frames_blind_the_events_while_they_are_read_out(gap_s: float, rate_hz: float) -> None:
+def test_frames_blind_the_events_while_they_are_read_out(gap_s, rate_hz):
     effects = SensorEffects(frame_gap_s=gap_s, frame_phase_spread=1.0)
     frames = FrameConfig(rate_hz=rate_hz, exposure_s=0.004)
     camera = camera_of(effects, frames, index=1, seed=3)
@@ -168,7 +164,7 @@ def test_frames_blind_the_events_while_they_are_read_out(gap_s: float, rate_hz: 
 
 
 @pytest.mark.parametrize("scan_s", [200e-6, 1e-3, 1 / 3000])
-def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s: float) -> None:
+def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s):
     events = events_at(rng(3).integers(0, 900_000, 5000))
     camera = camera_of(SensorEffects(scan_s=scan_s))
     stamped = camera.read_out(events.copy(), 1.0)
@@ -182,7 +178,7 @@ def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s: 
     assert waited_us.mean() == pytest.approx(5e5 * scan_s, rel=5 / 8660**0.5 + 0.005)
 
 
-def test_nothing_is_recorded_before_the_start_or_after_the_end() -> None:
+def test_nothing_is_recorded_before_the_start_or_after_the_end():
     camera = camera_of(SensorEffects(jitter_s=1e-3))
     events = events_at(np.array([-3, 0, 7, 1_000_000, 1_000_001]))
     assert camera.read_out(events, 1.0)["t"].tolist() == [0, 7, 1_000_000]

@@ -5,10 +5,9 @@ import pytest
 
 from sim.render.config import SamplingConfig
 from sim.render.footprint import choose_instants, footprint
-from sim.scene.drone import Drone
 from sim.scene.flyers import bird, quadrotor
 from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
+from sim.scene.trajectory import SplineConfig, random_spline
 from tests.sim.scenes import LENSES, straight
 
 RIGS = {
@@ -18,7 +17,7 @@ RIGS = {
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str) -> None:
+def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens):
     camera, times_s = RIGS[lens].cameras[0], np.linspace(0.0, 1.0, 600)
     T_W_B = straight(times_s, (-8.0, 0.0, 0.0), (16.0, 0.0, 0.0))
     seen = footprint(quadrotor(), camera, times_s, T_W_B)  # more poses than one batch
@@ -37,7 +36,7 @@ def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens: str
         np.testing.assert_allclose(moved_px, expected_px, rtol=1e-9)
 
 
-def flight(seed: int, duration_s: float = 4.0) -> Trajectory:
+def flight(seed, duration_s=4.0):
     return random_spline(SplineConfig(duration_s=duration_s), np.random.default_rng(seed))
 
 
@@ -47,7 +46,7 @@ def flight(seed: int, duration_s: float = 4.0) -> Trajectory:
     [(quadrotor(), 1.01), (quadrotor(rotor_hz=60.0), 1.04), (bird(1.0, 8.0), 1.04)],
     ids=["still", "spinning", "flapping"],
 )
-def test_steps_are_as_long_as_the_bound_lets_them(lens: str, drone: Drone, gain: float) -> None:
+def test_steps_are_as_long_as_the_bound_lets_them(lens, drone, gain):
     trajectory, max_step_px = flight(1, duration_s=1.0), 0.25
     for camera in RIGS[lens].cameras:
         instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px))
@@ -60,7 +59,7 @@ def test_steps_are_as_long_as_the_bound_lets_them(lens: str, drone: Drone, gain:
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_instants_go_from_start_to_end_at_the_least_rate(seed: int) -> None:
+def test_instants_go_from_start_to_end_at_the_least_rate(seed):
     trajectory = flight(seed)
     config = SamplingConfig(max_step_px=50.0, min_rate_hz=80.0)  # no image moves that fast
     instants_s = choose_instants(quadrotor(), RIGS["none"].cameras[1], trajectory, config)

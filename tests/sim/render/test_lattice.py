@@ -10,18 +10,18 @@ IDS = [f"{lattice.a},{lattice.b}" for lattice in LATTICES]
 OBJECT = np.uint32(1 << COUNT_BIT)
 
 
-def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
+def samples(lattice, x_px, y_px):
     """Lattice coordinates (n, 2) of a pixel's samples."""
     return lattice.pixel_samples + lattice.A @ [x_px, y_px]
 
 
-def positions_px(lattice: Lattice, q: np.ndarray) -> np.ndarray:
+def positions_px(lattice, q):
     """Image positions of samples, by the formula of the vertex shader: q = A p + centre."""
     return np.linalg.solve(lattice.A, (q - lattice.centre).T).T
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
-def test_every_sample_belongs_to_exactly_one_pixel(lattice: Lattice) -> None:
+def test_every_sample_belongs_to_exactly_one_pixel(lattice):
     block = [samples(lattice, x, y) for x in range(-3, 4) for y in range(-3, 4)]
     assert {len(pixel) for pixel in block} == {lattice.a**2 + lattice.b**2}
     owned = np.concatenate(block)
@@ -34,7 +34,7 @@ def test_every_sample_belongs_to_exactly_one_pixel(lattice: Lattice) -> None:
 
 
 @pytest.mark.parametrize("a", [2, 6, 8, 15])
-def test_no_two_samples_of_a_turned_pixel_share_a_row_or_column(a: int) -> None:
+def test_no_two_samples_of_a_turned_pixel_share_a_row_or_column(a):
     lattice = Lattice(a, 1)
     across = positions_px(lattice, samples(lattice, 0, 0)).T
     for coordinate in across:
@@ -44,9 +44,7 @@ def test_no_two_samples_of_a_turned_pixel_share_a_row_or_column(a: int) -> None:
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
 @pytest.mark.parametrize("size_px", [(1, 1), (5, 3), (4, 9)])
-def test_a_tile_covers_its_crop_and_nothing_else(
-    lattice: Lattice, size_px: tuple[int, int]
-) -> None:
+def test_a_tile_covers_its_crop_and_nothing_else(lattice, size_px):
     width, height = size_px
     x0, y0 = 17, -4
     owned = np.concatenate([samples(lattice, x0 + i, y0 + j) for i, j in np.ndindex(size_px)])
@@ -56,7 +54,7 @@ def test_a_tile_covers_its_crop_and_nothing_else(
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
-def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice: Lattice) -> None:
+def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice):
     size_px, corner = (6, 5), np.zeros((1, 2), np.int64)
     (origin,) = lattice.tile_origin(*corner.T, size_px[1])
     q = np.stack(np.meshgrid(*map(np.arange, lattice.tile_size(*size_px))), axis=-1) + origin
@@ -71,7 +69,7 @@ def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice: Lattice
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
-def test_the_average_equals_a_brute_force_sum(lattice: Lattice) -> None:
+def test_the_average_equals_a_brute_force_sum(lattice):
     rng = np.random.default_rng(1)
     width, height = 7, 4
     tile = np.array(lattice.tile_size(width, height))
@@ -92,7 +90,7 @@ def test_the_average_equals_a_brute_force_sum(lattice: Lattice) -> None:
 
 
 @pytest.mark.parametrize("b", [0, 1])
-def test_the_brightest_light_of_the_finest_lattice_fits_a_word(b: int) -> None:
+def test_the_brightest_light_of_the_finest_lattice_fits_a_word(b):
     lattice, corner = Lattice(MAX_A, b), np.zeros((1, 2), np.int64)
     atlas = np.full(lattice.tile_size(3, 2)[::-1], OBJECT + FULL_CODE, np.uint32)
     got = average_tiles(atlas, lattice, corner, corner, (3, 2), np.zeros((2, 3), np.float32))

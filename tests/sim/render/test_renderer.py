@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,12 +24,9 @@ from sim.render.gl_context import BACKENDS, open_context
 from sim.render.lattice import Lattice
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
-from sim.scene.drone import Drone
 from sim.scene.flyers import quadrotor
 from tests.sim.scenes import (
     LENSES,
-    Array,
-    Image,
     box_drone,
     grey,
     make_camera,
@@ -53,11 +49,11 @@ QUADROTOR = quadrotor(rotor_hz=7.0)
 each_renderer = pytest.mark.parametrize("renderer", RENDERERS)
 
 
-def unchecked(renderer: str = "pyrender", a: int = 16, b: int = 1, **light: Any) -> RenderConfig:
+def unchecked(renderer="pyrender", a=16, b=1, **light):
     return RenderConfig(Lattice(a, b), renderer=renderer, check=False, **light)
 
 
-def drawn(*scene: Any) -> Image:
+def drawn(*scene):
     """Draw whole images of a scene: drone, camera, times, poses, background and config."""
     drone, camera, times_s, T_W_B, background, config = scene
     with Renderer(drone, config) as renderer:
@@ -65,7 +61,7 @@ def drawn(*scene: Any) -> Image:
         return whole_images(crops, times_s, background)
 
 
-def full_frames(*scene: Any) -> Image:
+def full_frames(*scene):
     """Draw the same images by OpenGL, a whole frame at a time."""
     drone, camera, times_s, T_W_B, background, config = scene
     painter, seen = GLPainter(drone, config), footprint(drone, camera, times_s, T_W_B)
@@ -82,7 +78,7 @@ def full_frames(*scene: Any) -> Image:
 
 @each_renderer
 @pytest.mark.parametrize("lens", ["none", "radtan"])
-def test_batches_do_not_show(lens: str, renderer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batches_do_not_show(lens, renderer, monkeypatch):
     camera, config = make_camera(lens, HALF_VGA), unchecked(renderer, ambient=1.0)
     times_s = np.linspace(0.0, 1.0, 60)
     T_W_B = straight(times_s, (-2.9, -1.0, 0.1), (5.6, -1.2, 0.2))  # in from the left, out again
@@ -105,7 +101,7 @@ def test_batches_do_not_show(lens: str, renderer: str, monkeypatch: pytest.Monke
 
 
 @each_renderer
-def test_memory_stays_flat(renderer: str) -> None:
+def test_memory_stays_flat(renderer):
     """Under OSMesa pyrender leaks 3 MB with every frame."""
     camera = make_camera(resolution=HALF_VGA)
     n = 5_000
@@ -128,7 +124,7 @@ def test_memory_stays_flat(renderer: str) -> None:
 
 @each_renderer
 @pytest.mark.parametrize("lens", LENSES)
-def test_a_small_drone_lies_where_the_camera_projects_it(lens: str, renderer: str) -> None:
+def test_a_small_drone_lies_where_the_camera_projects_it(lens, renderer):
     camera = make_camera(lens)
     drone = box_drone((0.06, 0.06, 0.06), albedo=1.0)  # 2.4 px
     T_W_B = tumbling(40, 6, (0.0, 0.0, 0.0), (3.5, 0.3, 2.5))
@@ -145,7 +141,7 @@ def test_a_small_drone_lies_where_the_camera_projects_it(lens: str, renderer: st
 
 
 @each_renderer
-def test_leaving_and_entering_are_seen_as_a_change(renderer: str) -> None:
+def test_leaving_and_entering_are_seen_as_a_change(renderer):
     """An instant without the drone next to one with it is a crop too, of pure background."""
     camera = make_camera()
     times_s = np.arange(12.0)
@@ -163,7 +159,7 @@ def test_leaving_and_entering_are_seen_as_a_change(renderer: str) -> None:
 
 @pytest.mark.parametrize("lens", ["radtan", "equidistant"])
 @pytest.mark.parametrize("z_m", [-0.8, -0.6, 0.6, 0.8])
-def test_crops_hold_edges_that_the_lens_bends(lens: str, z_m: float) -> None:
+def test_crops_hold_edges_that_the_lens_bends(lens, z_m):
     """An edge across half the view bows by 10 px beyond the corners of the drone's hull."""
     camera = make_camera(lens)
     plate = box_drone((1.5, 1.5, 0.1))
@@ -175,9 +171,7 @@ def test_crops_hold_edges_that_the_lens_bends(lens: str, z_m: float) -> None:
 @each_renderer
 @pytest.mark.parametrize("a", [1, 8])
 @pytest.mark.parametrize("drone", [BOX, QUADROTOR], ids=["box", "quadrotor"])
-def test_the_silhouette_is_all_that_the_hulls_of_its_pieces_cover(
-    drone: Drone, a: int, renderer: str
-) -> None:
+def test_the_silhouette_is_all_that_the_hulls_of_its_pieces_cover(drone, a, renderer):
     camera, times_s = make_camera(), np.linspace(0.0, 1.0, 6)
     T_W_B = tumbling(6, 5, (0.0, 0.0, 0.0), (3.0, 2.0, 2.0))
     config = unchecked(renderer, a, 0, ambient=1.0)
@@ -214,9 +208,7 @@ def test_the_silhouette_is_all_that_the_hulls_of_its_pieces_cover(
         ((0.0, 1.0, 0.0), 0.0),  # from behind
     ],
 )
-def test_lambert(
-    lens: str, light_W: tuple[float, float, float], lambert: float, renderer: str
-) -> None:
+def test_lambert(lens, light_W, lambert, renderer):
     camera = make_camera(lens)
     config = unchecked(renderer, light_W=light_W, ambient=0.3)
     box = box_drone((1.0, 1.0, 1.0), 0.4)
@@ -245,9 +237,7 @@ AT_BORDERS = poses(np.concatenate([CORNERS_M * [1, 1, 0.2], CORNERS_M * [0.3, 1,
     ],
     ids=["box", "quadrotor", "at the borders"],
 )
-def test_same_pixels_as_in_a_full_frame(
-    drone: Drone, T_W_B: Array, ambient: float, a: int, b: int, lens: str
-) -> None:
+def test_same_pixels_as_in_a_full_frame(drone, T_W_B, ambient, a, b, lens):
     camera, times_s = make_camera(lens, HALF_VGA), np.linspace(0.0, 1.0, len(T_W_B))
     background = noise_image(camera)
     scene = (drone, camera, times_s, T_W_B, background, unchecked(a=a, b=b, ambient=ambient))
@@ -261,7 +251,7 @@ def test_same_pixels_as_in_a_full_frame(
     assert (crops != full_frames(*scene)).sum() <= (T_W_B is AT_BORDERS)
 
 
-def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels() -> None:
+def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels():
     """Both are equally near to the native renderer, as they are one rasteriser, compiled twice."""
     (other,) = set(BACKENDS) - {open_context().backend}
     if not ctypes.util.find_library(BACKENDS[other]):
@@ -274,7 +264,7 @@ def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels() -> None:
     assert "9 passed" in done.stdout, done.stdout + done.stderr
 
 
-def test_one_process_one_backend() -> None:
+def test_one_process_one_backend():
     context = open_context()
     assert context.backend in BACKENDS
     assert context.renderer
@@ -287,7 +277,7 @@ def test_one_process_one_backend() -> None:
         open_context(other)
 
 
-def test_osmesa_comes_first_and_egl_next(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_osmesa_comes_first_and_egl_next(monkeypatch):
     installed = {"OSMesa", "EGL"}
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)  # nothing has been chosen yet
     monkeypatch.setattr(sim.render.gl_context, "_open", lambda backend: backend)
@@ -305,7 +295,7 @@ def test_osmesa_comes_first_and_egl_next(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_library_that_does_not_load(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_does_not_load(backend, monkeypatch):
     """A driver that is asked for by name, but missing or broken, is refused in one clear line."""
     monkeypatch.setenv("PYOPENGL_PLATFORM", backend)
     monkeypatch.setitem(sys.modules, "OpenGL.contextdata", None)
@@ -322,7 +312,7 @@ def test_a_library_that_does_not_load(backend: str, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     "drone", [BOX, quadrotor(rotor_hz=7.0), quadrotor(1.6)], ids=["box", "spinning", "large"]
 )
-def test_draws_what_opengl_draws(drone: Drone, a: int, b: int, lens: str) -> None:
+def test_draws_what_opengl_draws(drone, a, b, lens):
     camera = make_camera(lens, HALF_VGA)
     times_s = np.linspace(0.0, 1.0, 12)
     T_W_B = tumbling(12, 3, (0.0, -1.0, 0.0), (3.5, 2.0, 2.5))  # some beyond the image's border
@@ -341,7 +331,7 @@ def test_draws_what_opengl_draws(drone: Drone, a: int, b: int, lens: str) -> Non
     assert difference.sum() < 5e-5 * shown
 
 
-def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
+def test_the_check_compares_instants_and_says_how_far_they_were():
     camera = make_camera()
     times_s = np.linspace(0.0, 1.0, 300)
     T_W_B = straight(times_s, (-1.0, 0.0, 0.0), (2.0, 0.0, 0.3))
@@ -353,7 +343,7 @@ def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
     assert 0.0 < check.mean_difference < 1e-4
 
 
-def test_edges_along_the_lattice_pass_the_check() -> None:
+def test_edges_along_the_lattice_pass_the_check():
     """An edge rounded to the other side changes a row of samples in each pixel that it passes."""
     camera = make_camera()
     times_s = np.linspace(0.0, 1.0, 25)
@@ -364,10 +354,10 @@ def test_edges_along_the_lattice_pass_the_check() -> None:
             assert renderer.check.n_instants == 25
 
 
-def test_a_renderer_that_differs_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_renderer_that_differs_is_refused(monkeypatch):
     paint = NativePainter.paint
 
-    def shifted(*arguments: object) -> Image:
+    def shifted(*arguments):
         return np.roll(paint(*arguments), 1, axis=2)  # type: ignore[arg-type]
 
     monkeypatch.setattr(NativePainter, "paint", shifted)
@@ -378,8 +368,8 @@ def test_a_renderer_that_differs_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
         list(renderer.crops(camera, np.arange(2.0), T_W_B, grey(camera)))
 
 
-def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
+def test_without_the_check_opengl_is_not_opened(monkeypatch):
+    def refuse(*_):
         raise AssertionError
 
     monkeypatch.setattr(GLPainter, "__init__", refuse)
@@ -388,8 +378,8 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
     assert drawn(*scene, unchecked("native")).min() < 0.6
 
 
-def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
+def test_a_mesh_too_large_for_memory_is_refused(monkeypatch):
+    def full(*_, **__):
         raise MemoryError
 
     monkeypatch.setattr(sim.scene.drone, "Faces", full)

@@ -1,12 +1,9 @@
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file
+from sim.scene.drone import DEFAULT_ALBEDO, Joint, drone_from_file
 from sim.scene.flyers import (
     DRONES,
     FLAP_RAD,
@@ -23,18 +20,18 @@ TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
 TWO_TONE += [0.00534553354, 0.00354055825, 0.000429919477, 0.00879122787]
 
 
-def vertices_m(drone: Drone, time_s: float = 0.0) -> np.ndarray:
+def vertices_m(drone, time_s=0.0):
     return np.concatenate([at(part, time_s) for part in drone.parts])
 
 
-def at(part: Part, time_s: float) -> np.ndarray:
+def at(part, time_s):
     if part.joint is None:
         return part.vertices_B_m
     T_B_P = part.joint.transforms(np.array([time_s]))[0]
     return part.vertices_B_m @ T_B_P[:3, :3].T + T_B_P[:3, 3]
 
 
-def as_mesh(part: Part) -> trimesh.Trimesh:
+def as_mesh(part):
     return trimesh.Trimesh(part.vertices_B_m, part.faces, process=True)
 
 
@@ -42,7 +39,7 @@ def as_mesh(part: Part) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("build", QUADROTORS.values())
-def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(build: Any) -> None:
+def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(build):
     still, spinning = build(), build(rotor_hz=40.0)
     assert [part.joint is None for part in still.parts] == [True]
     assert [part.joint is None for part in spinning.parts] == [True, False, False, False, False]
@@ -58,7 +55,7 @@ def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(bui
 
 
 @pytest.mark.parametrize("mirror", [(-1, 1, 1), (1, -1, 1)], ids=["fore and aft", "left and right"])
-def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None:
+def test_quadrotor_is_its_own_mirror_image(mirror):
     part = quadrotor().parts[0]
     assert len(np.unique(part.albedo)) == 1
     corners = np.unique(part.vertices_B_m, axis=0)
@@ -73,7 +70,7 @@ def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None
     np.testing.assert_allclose(volumes, volumes[image], rtol=1e-9)
 
 
-def test_two_tone_is_what_it_was() -> None:
+def test_two_tone_is_what_it_was():
     # Recorded figures of the mesh: a change of the mesh would change results under other names.
     part = two_tone(1.0).parts[0]
     triangles = part.vertices_B_m[part.faces]
@@ -88,7 +85,7 @@ def test_two_tone_is_what_it_was() -> None:
 # --- Joints -----------------------------------------------------------------------------------
 
 
-def test_joint_keeps_its_axis_and_turns_by_the_right_hand() -> None:
+def test_joint_keeps_its_axis_and_turns_by_the_right_hand():
     joint = Joint(axis_B=2.0 * np.eye(3)[2], origin_B_m=np.array([1.0, 0.0, 0.0]), rate_hz=5.0)
     T_B_P = joint.transforms(np.array([0.0, 0.05, 0.2]))  # no turn, a quarter, a whole one
     on_axis = np.array([1.0, 0.0, 3.0, 1.0])
@@ -100,15 +97,13 @@ def test_joint_keeps_its_axis_and_turns_by_the_right_hand() -> None:
 # --- Files ------------------------------------------------------------------------------------
 
 
-def from_file(mesh: Any, path: Path, size_m: float | None = None) -> Drone:
+def from_file(mesh, path, size_m=None):
     mesh.export(path)
     return drone_from_file(path, size_m)
 
 
 @pytest.mark.parametrize(("size_m", "extents"), [(None, (4.0, 2.0, 8.0)), (0.5, (0.5, 0.25, 1.0))])
-def test_file_is_centred_scaled_and_grey_without_colours(
-    tmp_path: Path, size_m: float | None, extents: tuple[float, ...]
-) -> None:
+def test_file_is_centred_scaled_and_grey_without_colours(tmp_path, size_m, extents):
     box = trimesh.creation.box((4.0, 2.0, 8.0))
     box.apply_translation((5.0, 6.0, 7.0))
     drone = from_file(box, tmp_path / "box.stl", size_m)
@@ -118,7 +113,7 @@ def test_file_is_centred_scaled_and_grey_without_colours(
     np.testing.assert_array_equal(drone.parts[0].albedo, DEFAULT_ALBEDO)
 
 
-def test_inside_out_file_is_turned_outward(tmp_path: Path) -> None:
+def test_inside_out_file_is_turned_outward(tmp_path):
     box = trimesh.creation.box()
     box.invert()
     (part,) = from_file(box, tmp_path / "box.stl").parts
@@ -126,7 +121,7 @@ def test_inside_out_file_is_turned_outward(tmp_path: Path) -> None:
     assert as_mesh(part).volume == pytest.approx(1.0)
 
 
-def test_open_mesh_shows_both_sides(tmp_path: Path) -> None:
+def test_open_mesh_shows_both_sides(tmp_path):
     box = trimesh.creation.box()
     box.update_faces(np.arange(12) > 1)
     (part,) = from_file(box, tmp_path / "open.stl").parts
@@ -139,16 +134,14 @@ def test_open_mesh_shows_both_sides(tmp_path: Path) -> None:
 # Red by Rec. 709, and sRGB 128 / 255 by its table.
 @pytest.mark.parametrize("suffix", [".ply", ".glb", ".obj"])
 @pytest.mark.parametrize(("rgb", "light"), [((255, 0, 0), 0.2126), ((128, 128, 128), 0.2159)])
-def test_colours_become_linear_luminance(
-    tmp_path: Path, suffix: str, rgb: tuple[int, int, int], light: float
-) -> None:
+def test_colours_become_linear_luminance(tmp_path, suffix, rgb, light):
     box = trimesh.creation.box()
     box.visual.face_colors = (*rgb, 255)
     (part,) = from_file(box, tmp_path / f"box{suffix}").parts
     np.testing.assert_allclose(part.albedo, light, atol=5e-5)  # the expected light's last digit
 
 
-def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:
+def test_scene_keeps_each_mesh_its_colour(tmp_path):
     red, green = trimesh.creation.box(), trimesh.creation.box()
     red.visual.face_colors = (255, 0, 0, 255)
     material = trimesh.visual.material.PBRMaterial(baseColorFactor=(0, 255, 0, 255))
@@ -164,7 +157,7 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:
     [*(build(rotor_hz=hz) for build in QUADROTORS.values() for hz in (0.0, 40.0)),
      bird(), bird(flap_hz=0.0), plane(), printed()],
 )  # fmt: skip
-def test_every_piece_is_closed_and_faces_outward(drone: Drone) -> None:
+def test_every_piece_is_closed_and_faces_outward(drone):
     for part in drone.parts:
         pieces = as_mesh(part).split()
         assert sum(len(piece.faces) for piece in pieces) == len(part.faces)
@@ -174,7 +167,7 @@ def test_every_piece_is_closed_and_faces_outward(drone: Drone) -> None:
 
 
 @pytest.mark.parametrize("name", DRONES)
-def test_size_is_the_largest_horizontal_extent_and_scales_all(name: str) -> None:
+def test_size_is_the_largest_horizontal_extent_and_scales_all(name):
     small, large = built_in_drone(name, 0.5), built_in_drone(name, 1.5)
     assert (small.size_m, large.size_m) == (0.5, 1.5)
     np.testing.assert_allclose(3.0 * vertices_m(small), vertices_m(large), atol=1e-15)  # round-off
@@ -189,7 +182,7 @@ def test_size_is_the_largest_horizontal_extent_and_scales_all(name: str) -> None
 
 
 @pytest.mark.parametrize("drone", [bird(2.0), plane(2.0)])
-def test_bird_and_plane_are_not_symmetric(drone: Drone) -> None:
+def test_bird_and_plane_are_not_symmetric(drone):
     corners = [part.vertices_B_m[part.faces].mean(axis=1) for part in drone.parts]
     centres, albedo = np.concatenate(corners), np.concatenate([p.albedo for p in drone.parts])
     assert ((albedo > 0) & (albedo <= 1)).all()
@@ -204,7 +197,7 @@ def test_bird_and_plane_are_not_symmetric(drone: Drone) -> None:
 # --- Wings ------------------------------------------------------------------------------------
 
 
-def test_both_wings_rise_and_fall_together() -> None:
+def test_both_wings_rise_and_fall_together():
     drone = bird(1.0, flap_hz=5.0)
     assert [part.joint is None for part in drone.parts] == [True, False, False]
     shoulders = [part.joint.origin_B_m for part in drone.parts[1:] if part.joint]

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ lenses = pytest.mark.parametrize("lens", LENSES)
 
 
 @lenses
-def test_origin_projects_to_the_principal_point_of_every_camera(lens: str) -> None:
+def test_origin_projects_to_the_principal_point_of_every_camera(lens):
     angles_deg, coeffs = (0, 30, 90, 150, 260), LENSES[lens]
     for camera in look_at_rig(angles_deg, distortion_model=lens, distortion_coeffs=coeffs).cameras:
         # The error is that of cos(90 deg), 6e-17, times 5 m and 200 px.
@@ -38,14 +37,12 @@ def test_origin_projects_to_the_principal_point_of_every_camera(lens: str) -> No
         (1, (2.5, 0.0, 1.0), (173, 50)),
     ],
 )
-def test_where_the_cameras_stand(
-    camera: int, point_W: tuple[float, ...], pixel: tuple[int, int]
-) -> None:
+def test_where_the_cameras_stand(camera, point_W, pixel):
     np.testing.assert_allclose(two_view_rig(90.0).cameras[camera].project(np.array(point_W)), pixel)
 
 
 @pytest.mark.parametrize("angle_deg", [30.0, 60.0, 70.0, 90.0, 120.0, 150.0])
-def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg: float) -> None:
+def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg):
     rig = two_view_rig(angle_deg)
     R, t, baseline_m = rig.extrinsics()
     assert np.rad2deg(Rotation.from_matrix(R).magnitude()) == pytest.approx(angle_deg)
@@ -59,7 +56,7 @@ def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg: fl
 
 
 @lenses
-def test_projection_agrees_with_opencv(lens: str) -> None:
+def test_projection_agrees_with_opencv(lens):
     camera = make_camera(lens)
     pose = cv2.Rodrigues(camera.T_C_W[:3, :3])[0], camera.T_C_W[:3, 3]
     project = cv2.fisheye.projectPoints if lens == "equidistant" else cv2.projectPoints
@@ -69,21 +66,21 @@ def test_projection_agrees_with_opencv(lens: str) -> None:
     np.testing.assert_allclose(camera.project(POINTS_W), expected[:, 0], atol=1e-9)
 
 
-def test_equidistant_is_smooth_on_the_axis() -> None:
+def test_equidistant_is_smooth_on_the_axis():
     on, beside = make_camera("equidistant").project(np.array([[0.0] * 3, [1e-9, 0.0, 0.0]]))
     np.testing.assert_array_equal(on, (173, 130))
     np.testing.assert_allclose(beside, (173, 130), atol=1e-7)  # 1e-9 m are 4e-8 px
 
 
 @lenses
-def test_points_behind_the_camera_have_no_image(lens: str) -> None:
+def test_points_behind_the_camera_have_no_image(lens):
     points_W = np.array([[[0.0, -5.0, 0.0], [0.1, -6.0, 0.0]], [[0.1, 0.0, 0.2], [9e9, -4.9, 0.0]]])
     pixels = make_camera(lens).project(points_W)
     assert pixels.shape == (2, 2, 2)
     np.testing.assert_array_equal(np.isnan(pixels[..., 0]), [[True, True], [False, True]])
 
 
-def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
+def test_points_past_the_lens_model_are_not_folded_into_the_image():
     # r (1 - 0.1 r^2) turns at r = 1.83 and is 0 again at r = 3.16, the middle of the image.
     camera = replace(make_camera("radtan"), distortion_coeffs=(-0.1, 0.0, 0.0, 0.0))
     assert np.tan(camera.field_angle_rad) == pytest.approx(1.826, rel=0.02)  # the step of its grid
@@ -94,7 +91,7 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
 # --- Kalibr's YAML ----------------------------------------------------------------------------
 
 
-def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked() -> None:
+def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked():
     coeffs = LENSES["radtan"]
     rig = look_at_rig((0, 40, 110), distortion_model="radtan", distortion_coeffs=coeffs)
     chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=True))
@@ -119,7 +116,7 @@ CAMERA = make_camera(resolution=(64, 48))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_images_are_srgb(tmp_path: Path, dtype: type) -> None:
+def test_images_are_srgb(tmp_path, dtype):
     full = np.iinfo(dtype).max
     srgb = np.linspace(0, full, 48 * 64).astype(dtype).reshape(48, 64)
     cv2.imwrite(str(tmp_path / "wall.png"), srgb)
@@ -136,7 +133,7 @@ def test_images_are_srgb(tmp_path: Path, dtype: type) -> None:
     assert steps.max() <= 2.3 * np.diff(srgb.ravel().astype(float)).max() / full
 
 
-def test_arrays_and_images_of_floating_point_are_linear(tmp_path: Path) -> None:
+def test_arrays_and_images_of_floating_point_are_linear(tmp_path):
     image = noise_image(CAMERA)
     np.save(tmp_path / "wall.npy", image.astype(np.float64))
     cv2.imwrite(str(tmp_path / "wall.tiff"), image)

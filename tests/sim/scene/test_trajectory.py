@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ from scipy.interpolate import BSpline
 from sim.scene import trajectory
 from sim.scene.trajectory import (
     SplineConfig,
-    Trajectory,
     _fit_smoothing_spline,
     random_spline,
     trajectory_from_csv,
@@ -20,23 +18,23 @@ SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
 ROW = "{},{},0,1,0,0,0,1\n"  # t, x
 
 
-def spline(seed: int, config: SplineConfig = SHORT) -> Trajectory:
+def spline(seed, config=SHORT):
     return random_spline(config, rng(seed))
 
 
-def flights(n: int, config: SplineConfig) -> np.ndarray:
+def flights(n, config):
     times_s = np.linspace(0, config.duration_s, 1000)
     return np.concatenate([spline(seed, config).poses(times_s) for seed in range(n)])
 
 
-def radius_m(path: np.ndarray) -> float:
+def radius_m(path):
     return float(np.hypot(path[:, 0], path[:, 1]).max())
 
 
 # --- Random splines ---------------------------------------------------------------------------
 
 
-def test_third_derivative_is_continuous_and_fourth_is_not() -> None:
+def test_third_derivative_is_continuous_and_fourth_is_not():
     # An order-5 spline is of degree 4: across a knot only its fourth derivative jumps.
     position = spline(4).position
     assert isinstance(position, BSpline)
@@ -49,13 +47,13 @@ def test_third_derivative_is_continuous_and_fourth_is_not() -> None:
         assert (jump < 1e-6 * scale) == (derivative < 4)
 
 
-def test_fit_minimises_its_functional() -> None:
+def test_fit_minimises_its_functional():
     draws = rng(0)
     times_s, values = np.linspace(0, 4, 21), draws.uniform(-1, 1, (21, 1))
     fit = _fit_smoothing_spline(times_s, values, order=5, n_segments=20, smoothing=0.05)
     dense_s = np.linspace(0, 4, 20001)
 
-    def cost(coefficients: np.ndarray) -> float:
+    def cost(coefficients):
         curve = BSpline(fit.t, coefficients, fit.k)
         bending = np.trapezoid(curve.derivative(2)(dense_s)[:, 0] ** 2, dense_s)
         return float(((curve(times_s) - values) ** 2).sum() + 0.05 * bending)
@@ -68,7 +66,7 @@ def test_fit_minimises_its_functional() -> None:
         assert cost(fit.c - step) > best
 
 
-def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright() -> None:
+def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright():
     T_W_B = flights(10, SplineConfig())
     # Between the instants at which the radius is checked (50 ms) the path bulges by millimetres.
     assert radius_m(T_W_B[:, :3, 3]) < 4.01
@@ -80,9 +78,7 @@ def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright() -> None
 
 
 @pytest.mark.parametrize("order", [3, 4, 5, 6])
-def test_a_long_spline_is_fitted_as_a_short_one_is(
-    monkeypatch: pytest.MonkeyPatch, order: int
-) -> None:
+def test_a_long_spline_is_fitted_as_a_short_one_is(monkeypatch, order):
     times_s = np.linspace(0, 41.7, 209)
     values = np.random.default_rng(0).uniform(-1, 1, (209, 6))
     short = _fit_smoothing_spline(times_s, values, order, 209, 0.0036)
@@ -93,7 +89,7 @@ def test_a_long_spline_is_fitted_as_a_short_one_is(
     np.testing.assert_allclose(long.c, short.c, atol=1e-11)
 
 
-def test_an_hour_is_flown_within_the_circle() -> None:
+def test_an_hour_is_flown_within_the_circle():
     """Dense matrices would exhaust memory, and every draw of the whole would leave the circle."""
     hour = spline(0, SplineConfig(duration_s=3600.0))
     path = hour.position(np.linspace(0, 3600, 360_000))
@@ -107,13 +103,13 @@ def test_an_hour_is_flown_within_the_circle() -> None:
 # --- CSV files --------------------------------------------------------------------------------
 
 
-def write(tmp_path: Path, text: str) -> Path:
+def write(tmp_path, text):
     path = tmp_path / "path.csv"
     path.write_text(text)
     return path
 
 
-def test_csv_round_trip(tmp_path: Path) -> None:
+def test_csv_round_trip(tmp_path):
     original = spline(5)
     path = tmp_path / "path.csv"
     trajectory_to_csv(original, path, rate_hz=100.0)
@@ -126,7 +122,7 @@ def test_csv_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(copy.poses(between_s), original.poses(between_s), atol=1e-4)
 
 
-def test_csv_header_order_comments_and_start_time(tmp_path: Path) -> None:
+def test_csv_header_order_comments_and_start_time(tmp_path):
     plain = "".join(ROW.format(t, t**2) for t in (10.0, 10.5, 11.0, 12.0))
     rows = (f"0,0,0,2,{t**2},0,1,{t}  # row\n\n" for t in (10.0, 10.5, 11.0, 12.0))
     named = "# made by hand\nqx,qy,qz,qw,x,y,z,t\n" + "".join(rows)

@@ -1,11 +1,9 @@
 """Tests the events that thresholds, effects of real pixels and noise make of frames or crops."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.effects.pixels import EffectsSensor
@@ -23,20 +21,13 @@ FINE = SensorConfig(threshold_on=0.02, threshold_off=0.02)
 # Pixels with effects in place of pixels without, by a latency too short to matter.
 FAINT = SensorEffects(latency_s=1e-12)
 
-Effects = SensorEffects | None
-SENSORS: dict[str, tuple[SensorConfig, Effects]] = {
+SENSORS = {
     **{name: (config, None) for name, config in PRESETS.items()},
     **{f"{name}, effects": (one.sensor, one.effects) for name, one in SENSOR_PRESETS.items()},
 }
 
 
-def sensor_of(
-    image: NDArray[Any],
-    config: SensorConfig,
-    effects: Effects = None,
-    time_s: float = 0.0,
-    background: NDArray[np.float32] | None = None,
-) -> Sensor:
+def sensor_of(image, config, effects=None, time_s=0.0, background=None):
     """Make a sensor, whose pixels have effects unless these are None."""
     first = image.astype(np.float32)
     about = (first, time_s, rng(1), first if background is None else background)
@@ -45,53 +36,42 @@ def sensor_of(
     return EffectsSensor(config, effects, rng(1001), FLICKER_RAD, *about)
 
 
-def events_of(
-    video: NDArray[Any],
-    times_s: NDArray[np.float64],
-    config: SensorConfig = IDEAL,
-    effects: Effects = None,
-) -> NDArray[Any]:
+def events_of(video, times_s, config=IDEAL, effects=None):
     """Events of a video (n, height, width) of linear light at times (n,) [s]."""
     sensor = sensor_of(video[0], config, effects, float(times_s[0]))
     feed(sensor, times_s[1:], np.ascontiguousarray(video[1:], np.float32))
     return sensor.finish(float(times_s[-1]))
 
 
-def still_events(
-    light: float,
-    duration_s: float,
-    config: SensorConfig = QUIET,
-    effects: Effects = None,
-    shape: tuple[int, int] = SHAPE,
-) -> NDArray[Any]:
+def still_events(light, duration_s, config=QUIET, effects=None, shape=SHAPE):
     """Events of pixels that see constant light."""
     return sensor_of(np.full(shape, light), config, effects).finish(duration_s)
 
 
-def feed(sensor: Sensor, times_s: NDArray[np.float64], video: NDArray[Any]) -> None:
+def feed(sensor, times_s, video):
     """Feed whole images to a sensor."""
     zeros = np.zeros(len(times_s), np.int64)
     sensor.feed(times_s, zeros, zeros, video)
 
 
-def stepping(before: float, after: float, at_s: float, until_s: float, shape: Any = (1, 1)) -> Any:
+def stepping(before, after, at_s, until_s, shape=(1, 1)):
     """A video of light that changes once, within a nanosecond, and its times."""
     times_s = np.array([0.0, at_s, at_s + 1e-9, until_s])
     levels = np.array([before, before, after, after], np.float32)
     return np.broadcast_to(levels[:, None, None], (4, *shape)), times_s
 
 
-def by_pixel(events: NDArray[Any]) -> NDArray[Any]:
+def by_pixel(events):
     return events[np.lexsort((events["t"], events["x"], events["y"]))]
 
 
-def gaps_us(events: NDArray[Any]) -> NDArray[np.int64]:
+def gaps_us(events):
     """Intervals between consecutive events of the same pixel."""
     y, x, t = (np.diff(by_pixel(events)[name].astype(np.int64)) for name in "yxt")
     return t[(y == 0) & (x == 0)]
 
 
-def assert_poisson(count: int, expected: float) -> None:
+def assert_poisson(count, expected):
     assert abs(count - expected) < 5.0 * expected**0.5  # five standard deviations, fixed seed
 
 
@@ -103,7 +83,7 @@ def assert_poisson(count: int, expected: float) -> None:
       for config in (IDEAL, SLOW) for on, off in ((0.25, 0.25), (0.01, 0.03))),
     SensorConfig(threshold_mismatch=0.05),
 ])  # fmt: skip
-def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
+def test_events_rebuild_the_log_image(config):
     """Each pixel has its own thresholds, which are constant in time.
 
     The event buffer starts with room for 65,536 events, which is less than fine thresholds need.
@@ -134,7 +114,7 @@ def test_events_rebuild_the_log_image(config: SensorConfig) -> None:
 
 @pytest.mark.parametrize("config", [IDEAL, SLOW], ids=["ideal", "general"])
 @pytest.mark.parametrize(("before", "after"), [(0.1, 0.9), (0.9, 0.1), (0.0, 1.0), (1.0, 0.0)])
-def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: float) -> None:
+def test_crossings_of_a_linear_ramp(config, before, after):
     """I(t) = I0 + (I1 - I0) t passes (I0 + eps) exp(+- k C) - eps at a time in closed form."""
     duration_s = 0.5
     video = np.array([before, after], np.float32)[:, None, None]
@@ -158,9 +138,7 @@ def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: 
         (IDEAL, SensorEffects(flicker_depth=1e-9)),
     ],
 )
-def test_what_is_next_to_nothing_gives_the_ideal_events(
-    config: SensorConfig, effects: Effects
-) -> None:
+def test_what_is_next_to_nothing_gives_the_ideal_events(config, effects):
     video, times_s = smooth_video(80, 20, 30), 1e-3 * np.arange(80)
     ideal = by_pixel(events_of(video, times_s))
     events = by_pixel(events_of(video, times_s, config, effects))
@@ -170,7 +148,7 @@ def test_what_is_next_to_nothing_gives_the_ideal_events(
     assert np.abs(events["t"] - ideal["t"]).max() <= (1 if effects is None else 2)
 
 
-def test_videos_of_any_type_and_layout() -> None:
+def test_videos_of_any_type_and_layout():
     video, times_s = smooth_video(20, 10, 12), 0.04 * np.arange(20)
     expected = events_from_frames(video, times_s)
     twice = np.repeat(np.repeat(video, 2, axis=1), 2, axis=2)
@@ -189,7 +167,7 @@ def test_videos_of_any_type_and_layout() -> None:
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_crops_give_the_events_of_whole_frames(name: str) -> None:
+def test_crops_give_the_events_of_whole_frames(name):
     """A square stands before a textured wall at the start, leaves, and comes back elsewhere."""
     wall, times_s = smooth_video(1, 30, 40)[0], 1e-3 * np.arange(120)
     video = np.repeat(wall[None], 120, axis=0)
@@ -216,7 +194,7 @@ def test_crops_give_the_events_of_whole_frames(name: str) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("step_s", [1e-3, 0.7e-6])
-def test_events_are_in_order_and_may_be_taken_as_they_settle(name: str, step_s: float) -> None:
+def test_events_are_in_order_and_may_be_taken_as_they_settle(name, step_s):
     """Instants are fed one by one or together; at small steps one microsecond has many feeds."""
     config = PRESETS[name]
     video, times_s = smooth_video(50, 12, 15), step_s * np.arange(50)
@@ -243,7 +221,7 @@ def test_events_are_in_order_and_may_be_taken_as_they_settle(name: str, step_s: 
 
 @pytest.mark.parametrize("light", [0.0, 0.5, 0.999])
 @pytest.mark.parametrize("effects", [None, FAINT])
-def test_shot_noise_falls_to_a_quarter_in_full_light(effects: Effects, light: float) -> None:
+def test_shot_noise_falls_to_a_quarter_in_full_light(effects, light):
     events = still_events(light, 5.0, replace(QUIET, shot_noise_hz=2.0), effects)
     expected = 2.0 * (1.0 - 0.75 * light) * 5.0 * 3000
     assert_poisson(len(events), expected)
@@ -257,7 +235,7 @@ def test_shot_noise_falls_to_a_quarter_in_full_light(effects: Effects, light: fl
 
 @pytest.mark.parametrize("light", [0.1, 0.9])
 @pytest.mark.parametrize(("lux", "falls"), [(0.1, 1.0), (1.0, 10**-0.75), (161.0, 1610**-0.75)])
-def test_shot_noise_falls_with_the_light(lux: float, falls: float, light: float) -> None:
+def test_shot_noise_falls_with_the_light(lux, falls, light):
     duration_s = 10.0 / falls**0.5
     effects = SensorEffects(illuminance_lux=lux / light, dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
     events = still_events(light, duration_s, effects=effects)
@@ -268,7 +246,7 @@ def test_shot_noise_falls_with_the_light(lux: float, falls: float, light: float)
     assert len(events) - on == pytest.approx(3.7 * per_pixel, rel=0.05)
 
 
-def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
+def test_noise_falls_due_alike_whether_or_not_the_light_changes():
     """Pixels are updated at each change of light, which must not restart their wait for noise."""
     times_s = np.linspace(0.0, 5.0, 501)
     light = np.broadcast_to(0.5 + 0.01 * (np.arange(501) % 2)[:, None, None], (501, *SHAPE))
@@ -276,7 +254,7 @@ def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
     assert_poisson(len(events), 3.0 * 5.0 * 3000)
 
 
-def test_rates_spread_over_pixels() -> None:
+def test_rates_spread_over_pixels():
     spread = 0.25
     effects = SensorEffects(illuminance_lux=0.1, dim_noise_on_hz=20.0, noise_spread_decades=spread)
     events = still_events(0.9, 60.0, effects=effects)
@@ -294,9 +272,7 @@ def test_rates_spread_over_pixels() -> None:
         *((0.0, replace(FAINT, leak_jitter=jitter)) for jitter in (0.0, 0.1, 0.2)),
     ],
 )
-def test_leak_events_are_on_and_regular_but_for_their_jitter(
-    light: float, mismatch: float, effects: Effects
-) -> None:
+def test_leak_events_are_on_and_regular_but_for_their_jitter(light, mismatch, effects):
     config = SensorConfig(leak_hz=3.0, threshold_mismatch=mismatch)
     jitter = effects.leak_jitter if effects else 0.0
     events = still_events(light, 10.0, config, effects)
@@ -311,7 +287,7 @@ def test_leak_events_are_on_and_regular_but_for_their_jitter(
         assert np.abs(phases - 9000).max() < 5 * 30 * 300**0.5  # 300 pixels, 30 events each
 
 
-def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
+def test_leaking_pixels_that_see_change_stay_within_a_threshold():
     """The level that leaks is never further from the light than the threshold."""
     config = SensorConfig(leak_hz=5.0)
     video, times_s = smooth_video(100, 20, 30), 5e-3 * np.arange(100)
@@ -324,7 +300,7 @@ def test_leaking_pixels_that_see_change_stay_within_a_threshold() -> None:
     assert (sensor.finish(0.5)["p"] == 0).any()
 
 
-def test_leaking_pixels_under_faint_flicker_fire_at_the_crests() -> None:
+def test_leaking_pixels_under_faint_flicker_fire_at_the_crests():
     config = SensorConfig(leak_hz=2.0)
     still, faint = np.full((2, *SHAPE), 0.5), SensorEffects(flicker_depth=0.05)
     events = events_of(still, np.array([0.0, 5.0]), config, faint)
@@ -343,7 +319,7 @@ def test_leaking_pixels_under_faint_flicker_fire_at_the_crests() -> None:
         (QUIET, SensorEffects(hot_clusters=40, hot_cluster_hz=100.0)),
     ],
 )
-def test_hot_pixels_and_clusters(config: SensorConfig, effects: Effects) -> None:
+def test_hot_pixels_and_clusters(config, effects):
     events = still_events(0.5, 10.0, config, effects, (200, 200))
     assert (events["p"] == 1).all()
     fired = counts(events, (200, 200)).reshape(200, 200)
@@ -374,9 +350,7 @@ STEADY = replace(DAVIS.effects, jitter_s=0.0, jitter_lux_s=0.0, latency_lux_s=0.
         (replace(DAVIS.sensor, refractory_s=0.01), STEADY),
     ],
 )
-def test_no_two_events_of_a_pixel_within_the_dead_time(
-    config: SensorConfig, effects: Effects
-) -> None:
+def test_no_two_events_of_a_pixel_within_the_dead_time(config, effects):
     video, times_s = smooth_video(150, 20, 30), 1e-3 * np.arange(150)
     gaps = gaps_us(events_of(video, times_s, config, effects))
     assert len(gaps) > 1000
@@ -384,7 +358,7 @@ def test_no_two_events_of_a_pixel_within_the_dead_time(
     assert gaps.min() >= round(config.refractory_s * 1e6)
 
 
-def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time() -> None:
+def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time():
     """ESIM counts the thresholds passed in the dead time; a real pixel ignores them."""
     dead_s, times_s = 0.01, np.linspace(0.0, 1.0, 101)
     light = 0.1 + 0.8 * times_s[:, None, None]
@@ -404,9 +378,7 @@ def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time() -> None:
     ("lux", "light", "expected_hz"),
     [(1.0, 0.4, 12.0), (20.0, 0.4, 240.0), (20.0, 0.2, 120.0), (1e4, 0.4, 3e3), (0.01, 0.4, 5.0)],
 )
-def test_a_step_is_followed_with_the_time_constant_of_its_light(
-    lux: float, light: float, expected_hz: float
-) -> None:
+def test_a_step_is_followed_with_the_time_constant_of_its_light(lux, light, expected_hz):
     effects = SensorEffects(
         illuminance_lux=lux, cutoff_hz_per_lux=30.0, cutoff_min_hz=5.0, cutoff_max_hz=3000.0
     )
@@ -422,7 +394,7 @@ def test_a_step_is_followed_with_the_time_constant_of_its_light(
 
 
 @pytest.mark.parametrize("lux", [500.0, 5.0])
-def test_latency_and_jitter_depend_on_the_light(lux: float) -> None:
+def test_latency_and_jitter_depend_on_the_light(lux):
     effects = SensorEffects(
         illuminance_lux=lux, latency_s=100e-6, latency_lux_s=1e-3, jitter_s=10e-6, jitter_lux_s=1e-4
     )
@@ -437,7 +409,7 @@ def test_latency_and_jitter_depend_on_the_light(lux: float) -> None:
     assert delays_us.std() == pytest.approx(expected_us / 10, rel=0.05)
 
 
-def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
+def test_a_signal_that_turns_within_an_interval_passes_its_threshold():
     """The light falls throughout, but the lagging photoreceptor at first still rises."""
     effects = SensorEffects(
         illuminance_lux=1e3, cutoff_hz_per_lux=1.0, cutoff_max_hz=50.0, cutoff_min_hz=50.0
@@ -453,7 +425,7 @@ def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
 
 
 @pytest.mark.parametrize("cutoff_hz", [1e6, 50.0])
-def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
+def test_flicker_is_what_light_that_swings_would_be(cutoff_hz):
     depth, hz = 0.4, 100.0
     filtered = SensorEffects(
         cutoff_hz_per_lux=1e9, cutoff_min_hz=cutoff_hz, cutoff_max_hz=cutoff_hz

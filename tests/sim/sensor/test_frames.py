@@ -1,19 +1,12 @@
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from sim.sensor.frames import FrameConfig, FrameExposer, Frames, frame_times_us
 
 CODE = 1.0 / 255.0
 
 
-def expose(
-    config: FrameConfig,
-    video: NDArray[np.float32],
-    times_s: NDArray[np.float64],
-    background: NDArray[np.float32] | None = None,
-    start_s: float = 0.0,
-) -> Frames:
+def expose(config, video, times_s, background=None, start_s=0.0):
     """Feed whole images, one by one."""
     still = np.zeros(video.shape[1:], np.float32) if background is None else background
     exposer, frames = exposer_in_memory(config, still, float(times_s[-1]), start_s)
@@ -24,9 +17,7 @@ def expose(
     return frames
 
 
-def exposer_in_memory(
-    config: FrameConfig, background: NDArray[np.float32], duration_s: float, start_s: float = 0.0
-) -> tuple[FrameExposer, Frames]:
+def exposer_in_memory(config, background, duration_s, start_s=0.0):
     """Return an exposer and the frames that it fills; no initial value may remain in these."""
     times_us = frame_times_us(config, duration_s, start_s)
     images = np.full((len(times_us), *background.shape), 77, np.uint8)
@@ -34,7 +25,7 @@ def exposer_in_memory(
     return exposer, Frames(times_us, images, config.exposure_s)
 
 
-def uneven_times(n: int, end_s: float, seed: int = 0) -> NDArray[np.float64]:
+def uneven_times(n, end_s, seed=0):
     """Instants as adaptive sampling makes them, from 0 to the end."""
     steps = np.random.default_rng(seed).uniform(0.1, 3.0, n - 1)
     return np.concatenate([[0.0], np.cumsum(steps) / steps.sum() * end_s])
@@ -44,7 +35,7 @@ def uneven_times(n: int, end_s: float, seed: int = 0) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("exposure_s", "start_s"), [(0.001, 0.0), (0.013, 0.0), (0.013, 0.0123), (0.02, 0.0)]
 )
-def test_linear_light_is_integrated_exactly(n: int, exposure_s: float, start_s: float) -> None:
+def test_linear_light_is_integrated_exactly(n, exposure_s, start_s):
     """The mean of linear light over an exposure is the light at its middle, for any instants."""
     times_s = uneven_times(n, 0.5)
     start, slope = np.array([[0.1, 0.9, 0.5]]), np.array([[1.5, -1.6, 0.0]])
@@ -72,7 +63,7 @@ def test_linear_light_is_integrated_exactly(n: int, exposure_s: float, start_s: 
         (FrameConfig(0.0), 2.0, 0),
     ],
 )  # fmt: skip
-def test_only_whole_exposures_become_frames(config: FrameConfig, duration_s: float, n: int) -> None:
+def test_only_whole_exposures_become_frames(config, duration_s, n):
     still = np.full((2, 4, 5), 0.5, np.float32)
     frames = expose(config, still, np.array([0.0, duration_s]))
     assert frames.times_us.shape == (n,)
@@ -80,7 +71,7 @@ def test_only_whole_exposures_become_frames(config: FrameConfig, duration_s: flo
     assert (frames.images == 128).all()
 
 
-def test_crops_and_gaps_show_the_background() -> None:
+def test_crops_and_gaps_show_the_background():
     """Crops are as the renderer's: of several sizes, and none while the drone is out of view."""
     rng = np.random.default_rng(3)
     n, height, width = 160, 20, 25

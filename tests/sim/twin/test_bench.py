@@ -27,7 +27,7 @@ WALLS = replace(SHORT, textured=True)
 
 
 @pytest.mark.parametrize("angle_deg", [43.14, 131.77])
-def test_the_lines_of_sight_are_the_angle_apart(angle_deg: float) -> None:
+def test_the_lines_of_sight_are_the_angle_apart(angle_deg):
     rig = bench_rig(replace(SHORT, angle_deg=angle_deg, setup_seed=3))
     one, two = (-c.T_C_W[:3, :3].T @ c.T_C_W[:3, 3] for c in rig.cameras)
     cosine = one @ two / np.linalg.norm(one) / np.linalg.norm(two)
@@ -37,7 +37,7 @@ def test_the_lines_of_sight_are_the_angle_apart(angle_deg: float) -> None:
         np.testing.assert_allclose(camera.project(np.zeros(3)), camera.K[:2, 2], atol=1e-9)
 
 
-def test_recordings_of_a_set_up_share_all_but_the_motion() -> None:
+def test_recordings_of_a_set_up_share_all_but_the_motion():
     one, other = WALLS.scene(1), WALLS.scene(2)
     elsewhere = replace(WALLS, setup_seed=1).scene(1)
     np.testing.assert_array_equal(one.backgrounds, other.backgrounds)
@@ -49,19 +49,19 @@ def test_recordings_of_a_set_up_share_all_but_the_motion() -> None:
     np.testing.assert_array_equal(at_m[0], at_m[2])
 
 
-def test_a_level_drone_moves_but_does_not_turn() -> None:
+def test_a_level_drone_moves_but_does_not_turn():
     level = replace(SHORT, turning=False).scene(4).trajectory.poses(np.linspace(0.0, 1.0, 5))
     turning = SHORT.scene(4).trajectory.poses(np.linspace(0.0, 1.0, 5))
     np.testing.assert_array_equal(level[:, :3, :3], np.broadcast_to(np.eye(3), (5, 3, 3)))
     np.testing.assert_array_equal(level[:, :3, 3], turning[:, :3, 3])
 
 
-def events_of(room: RoomConfig, index: int = 0, **sensor: float) -> np.ndarray:
+def events_of(room, index=0, **sensor):
     hanging = hanging_of(WALLS, 0)
     return room_events(room, WALLS.scene(0), hanging, SensorConfig(**sensor), 0, index)
 
 
-def test_the_events_of_all_pixels_rebuild_one_course_of_the_light() -> None:
+def test_the_events_of_all_pixels_rebuild_one_course_of_the_light():
     assert len(events_of(RoomConfig())) == 0  # still
     thresholds = {"threshold_on": 0.05, "threshold_off": 0.05}
     events, other = (events_of(RoomConfig(light_std=0.3), k, **thresholds) for k in (0, 1))
@@ -72,7 +72,7 @@ def test_the_events_of_all_pixels_rebuild_one_course_of_the_light() -> None:
     assert np.sum(2.0 * other["p"] - 1.0) == pytest.approx(net.sum(), rel=0.05)  # one lamp
 
 
-def test_a_shadow_is_where_the_hand_is_and_no_deeper_than_it_says() -> None:
+def test_a_shadow_is_where_the_hand_is_and_no_deeper_than_it_says():
     events = events_of(RoomConfig(shadow=0.3))
     assert len(events) > 1000
     # log(1 / 0.7) = 0.36: a pixel's events add up to at most two thresholds of 0.25 down or one up,
@@ -91,7 +91,7 @@ def test_a_shadow_is_where_the_hand_is_and_no_deeper_than_it_says() -> None:
     assert np.quantile(far_px, 0.97) < 45.0 + 1.15 * 18.0
 
 
-def test_each_pixel_that_the_wire_passes_may_fire_off_then_on() -> None:
+def test_each_pixel_that_the_wire_passes_may_fire_off_then_on():
     camera, room = WALLS.scene(0).rig.cameras[0], RoomConfig(wire_m=2e-4)
     events = events_of(room)
     columns = wire_columns(camera, hanging_of(WALLS, 0), 1e-6 * events["t"], 260)
@@ -104,14 +104,14 @@ def test_each_pixel_that_the_wire_passes_may_fire_off_then_on() -> None:
     assert thick / thin == pytest.approx(2.0, rel=0.1)
 
 
-def test_the_model_is_three_by_three_by_one_centimetres() -> None:
+def test_the_model_is_three_by_three_by_one_centimetres():
     (part,) = printed().parts
     extent_m = np.ptp(part.vertices_B_m, axis=0)
     np.testing.assert_allclose(extent_m, (0.03, 0.03, 0.01), rtol=1e-9)
     np.testing.assert_allclose(part.vertices_B_m.min(0) + part.vertices_B_m.max(0), 0.0, atol=1e-12)
 
 
-def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch):
     soft = wall(346, 260, rng(1))
     monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # neighbours have almost no share
     sharp = wall(346, 260, rng(1))
@@ -124,18 +124,18 @@ LENGTH_M = 0.45
 STEP_S = 1e-3
 
 
-def free_swing(angle_rad: float, damping_per_s: float = 0.0, turns: float = 0.0) -> np.ndarray:
+def free_swing(angle_rad, damping_per_s=0.0, turns=0.0):
     """States of a pendulum whose hand stands still, over 10 s."""
     start = np.array([np.sin(angle_rad), 0.0, -np.cos(angle_rad), 0.0, turns, 0.0])
     return swing(LENGTH_M, damping_per_s, np.zeros((20_001, 3)), start, STEP_S)
 
 
-def energy(states: np.ndarray) -> np.ndarray:
+def energy(states):
     """Energy over mass times length [m/s^2]."""
     return 0.5 * LENGTH_M * np.sum(states[:, 3:] ** 2, axis=1) + GRAVITY_M_S2 * states[:, 2]
 
 
-def test_a_swing_in_space_keeps_its_energy_and_the_wire_its_length() -> None:
+def test_a_swing_in_space_keeps_its_energy_and_the_wire_its_length():
     states = free_swing(0.6, turns=1.5)
     # The error of 10,000 steps of 1 ms by Runge and Kutta's fourth order, some (5e-3)^5 each.
     assert np.ptp(energy(states)) < 1e-7
@@ -143,7 +143,7 @@ def test_a_swing_in_space_keeps_its_energy_and_the_wire_its_length() -> None:
 
 
 @pytest.mark.parametrize("angle_rad", [0.05, 0.5, 1.2])
-def test_the_period_is_the_pendulums(angle_rad: float) -> None:
+def test_the_period_is_the_pendulums(angle_rad):
     x = free_swing(angle_rad)[:, 0]
     k = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
     crossings_s = STEP_S * (k + x[k] / (x[k] - x[k + 1]))
@@ -152,7 +152,7 @@ def test_the_period_is_the_pendulums(angle_rad: float) -> None:
     np.testing.assert_allclose(np.diff(crossings_s), exact_s, atol=1e-6)
 
 
-def test_air_takes_the_energy_at_the_rate_of_the_damping() -> None:
+def test_air_takes_the_energy_at_the_rate_of_the_damping():
     damping_per_s = 0.3
     left = energy(free_swing(0.05, damping_per_s)) + GRAVITY_M_S2
     # A small swing's energy, averaged over a period, falls as exp(-c t); the fit averages it.
@@ -160,7 +160,7 @@ def test_air_takes_the_energy_at_the_rate_of_the_damping() -> None:
     assert rate == pytest.approx(damping_per_s, rel=0.02)
 
 
-def test_the_body_hangs_along_the_wire_when_nothing_rocks_it() -> None:
+def test_the_body_hangs_along_the_wire_when_nothing_rocks_it():
     drawn = hanging(PendulumConfig(rocking_rad=0.0), 5.0, rng(0))
     times_s = np.linspace(0.0, 5.0, 100)
     up = drawn.trajectory.poses(times_s)[:, :3, 2]
@@ -168,7 +168,7 @@ def test_the_body_hangs_along_the_wire_when_nothing_rocks_it() -> None:
     np.testing.assert_allclose(up, -drawn.wire(times_s), atol=1e-8)
 
 
-def test_without_noise_the_calibration_is_the_truth() -> None:
+def test_without_noise_the_calibration_is_the_truth():
     config = CalibrationConfig(n_views=8, n_shared=8, corner_std_px=0.0)
     rig, draws = bench_rig(TwinConfig()), rng(0)
     cameras = [calibrated_camera(camera, config, draws) for camera in rig.cameras]
@@ -184,7 +184,7 @@ def test_without_noise_the_calibration_is_the_truth() -> None:
     np.testing.assert_allclose(T_2_1, rig.relative_pose(0, 1), atol=1e-4)
 
 
-def test_intrinsics_err_by_their_stated_deviations() -> None:
+def test_intrinsics_err_by_their_stated_deviations():
     config, normalised = CalibrationConfig(), []
     for seed in (*range(11), 23):
         camera = bench_rig(TwinConfig(setup_seed=seed)).cameras[seed % 2]
@@ -201,7 +201,7 @@ def test_intrinsics_err_by_their_stated_deviations() -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [43.14, 131.77])
-def test_the_pose_errs_as_the_corners_do(angle_deg: float) -> None:
+def test_the_pose_errs_as_the_corners_do(angle_deg):
     rig = bench_rig(TwinConfig(angle_deg=angle_deg))
     cameras, errors_deg = [exact(camera) for camera in rig.cameras], []
     for corner_std_px in (0.05, 0.4):
