@@ -87,8 +87,6 @@ def process_row(cell: SquareCell, loaded: object) -> SquareRow:
     return SquareRow("ok", "", float(os.getpid()))
 
 
-# --- Damages, each of which must be found ---
-
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 
 

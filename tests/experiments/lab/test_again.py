@@ -34,9 +34,6 @@ def results(tmp_path):
     return tmp_path / "results"
 
 
-# --- Drawing ---
-
-
 def names(drawn: list[Drawn]) -> list[tuple]:
     return [(study.name, task.recordings) for study, task in drawn]
 
@@ -66,9 +63,6 @@ def test_slow_studies_are_drawn_from_only_if_asked_for():
     assert draw(sources_of(studies, only="renderers"), 9, 0) == []  # OpenGL drivers render unlike
     with pytest.raises(SsacError, match="--only: expected a study of squares, got cubes"):
         sources_of({"squares": SQUARES}, only="cubes")
-
-
-# --- Running again ---
 
 
 @pytest.mark.parametrize(
@@ -191,9 +185,6 @@ def test_a_run_that_is_gone_or_crashes_again_is_found():
     crash = row(status="crashed", reason="tangency: KeyError: 1")
     (fault,) = faults(crash, crash)
     assert "KeyError" in fault
-
-
-# --- The command ---
 
 
 def verify(results: Path, *options: str) -> tuple[int, str]:

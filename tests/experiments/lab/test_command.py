@@ -81,9 +81,6 @@ def test_a_table_fits_a_screen_and_says_that_there_is_no_refusal():
     assert second.split() == ["150", "ssac", "10", "no_match", "10"]
 
 
-# --- Commands made of studies ---
-
-
 def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = True):
     return [one for one in SQUARES.cells() if one.number <= last and (even or one.number % 2)]
 

@@ -101,8 +101,6 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
         scored_row(cell_of("mine", 0.5), of_same(pair))
 
 
-# --- Denoised once ---
-
 HOW = Cleaning(denoise=True, n_neighbours=None)
 
 

@@ -147,9 +147,6 @@ def test_faults_are_short_and_name_the_line():
     assert lines[-1].strip() == "- and 3 more"
 
 
-# --- The committed results ---
-
-
 @pytest.fixture(scope="module")
 def damaged(tmp_path_factory):
     return Path(copytree(RESULTS, tmp_path_factory.mktemp("committed") / "results"))

@@ -35,9 +35,6 @@ def as_mesh(part):
     return trimesh.Trimesh(part.vertices_B_m, part.faces, process=True)
 
 
-# --- Quadrotors ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("build", QUADROTORS.values())
 def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(build):
     still, spinning = build(), build(rotor_hz=40.0)
@@ -82,9 +79,6 @@ def test_two_tone_is_what_it_was():
     np.testing.assert_allclose(figures, TWO_TONE, rtol=1e-6, atol=1e-12)  # printed digits
 
 
-# --- Joints -----------------------------------------------------------------------------------
-
-
 def test_joint_keeps_its_axis_and_turns_by_the_right_hand():
     joint = Joint(axis_B=2.0 * np.eye(3)[2], origin_B_m=np.array([1.0, 0.0, 0.0]), rate_hz=5.0)
     T_B_P = joint.transforms(np.array([0.0, 0.05, 0.2]))  # no turn, a quarter, a whole one
@@ -92,9 +86,6 @@ def test_joint_keeps_its_axis_and_turns_by_the_right_hand():
     np.testing.assert_allclose(T_B_P @ on_axis, np.tile(on_axis, (3, 1)), atol=1e-14)
     expected = [[2, 0, 0, 1], [1, 1, 0, 1], [2, 0, 0, 1]]
     np.testing.assert_allclose(T_B_P @ [2.0, 0.0, 0.0, 1.0], expected, atol=1e-14)  # sines
-
-
-# --- Files ------------------------------------------------------------------------------------
 
 
 def from_file(mesh, path, size_m=None):
@@ -192,9 +183,6 @@ def test_bird_and_plane_are_not_symmetric(drone):
     assert albedo[wings & left].mean() > 1.5 * albedo[wings & ~left].mean()
     low, high = vertices_m(drone).min(axis=0), vertices_m(drone).max(axis=0)
     assert abs(low[0] + high[0]) > 0.02 * drone.size_m  # the origin is not in the middle
-
-
-# --- Wings ------------------------------------------------------------------------------------
 
 
 def test_both_wings_rise_and_fall_together():

@@ -14,9 +14,6 @@ POINTS_W = rng().uniform(-2.5, 2.5, (500, 3))  # [m], before every camera
 lenses = pytest.mark.parametrize("lens", LENSES)
 
 
-# --- Geometry of the rig ----------------------------------------------------------------------
-
-
 @lenses
 def test_origin_projects_to_the_principal_point_of_every_camera(lens):
     angles_deg, coeffs = (0, 30, 90, 150, 260), LENSES[lens]
@@ -52,9 +49,6 @@ def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg):
     np.testing.assert_allclose(x1 @ R.T + baseline_m * t, x2, atol=1e-13)  # round-off
 
 
-# --- Projection and distortion ----------------------------------------------------------------
-
-
 @lenses
 def test_projection_agrees_with_opencv(lens):
     camera = make_camera(lens)
@@ -86,9 +80,6 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image():
     assert np.tan(camera.field_angle_rad) == pytest.approx(1.826, rel=0.02)  # the step of its grid
     assert np.isfinite(camera.project(np.array([5 * 1.7, 0.0, 0.0]))).all()
     assert np.isnan(camera.project(np.array([5 * 3.16, 0.0, 0.0]))).all()
-
-
-# --- Kalibr's YAML ----------------------------------------------------------------------------
 
 
 def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked():
