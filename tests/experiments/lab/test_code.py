@@ -10,6 +10,7 @@ import pytest
 from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
 from experiments.lab.code import ROOT, SourceTree, code_of
 from experiments.lab.grid import Cell
+from experiments.lab.results import save_text
 from experiments.lab.schedule import Task, run_task
 from experiments.lab.scored import SCORED
 from experiments.studies import all_studies
@@ -39,7 +40,8 @@ OF_ROWS = {"runs", "bounds", "refusals"}  # keys of rows, which the pipeline com
 OF_EVENTS = {"brightness", "denoised"}  # keys without the code that makes recordings
 
 
-def digests(tree: SourceTree) -> dict[str, str]:
+def digests(root: Path) -> dict[str, str]:
+    tree = SourceTree(root)
     return {name: tree.digest(*code) for name, code in CODES.items()}
 
 
@@ -49,20 +51,7 @@ def tree(tmp_path_factory):
     root = tmp_path_factory.mktemp("tree")
     for name in ("sim", "ssac", "experiments"):
         shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
-    read = SourceTree(root)
-    return read, digests(read)
-
-
-def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, new: str) -> set[str]:
-    """Return which keys an edit of one file changes; the other files are not read again."""
-    file, module = tree.root / path, path.removesuffix(".py").replace("/", ".")
-    text = file.read_text()
-    assert old in text, path
-    file.write_text(text.replace(old, new))
-    others = {name: source for name, source in tree.sources.items() if name != module}
-    after = digests(SourceTree(tree.root, others))
-    file.write_text(text)
-    return {name for name in CODES if before[name] != after[name]}
+    return root, digests(root)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +81,13 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
     ],
 )  # fmt: skip
 def test_what_matters_makes_new_keys_and_nothing_else(tree, path, old, new, changed):
-    found = changed_by(*tree, path, old, new)
+    root, before = tree
+    text = (root / path).read_text()
+    assert old in text
+    (root / path).write_text(text.replace(old, new))
+    after = digests(root)
+    (root / path).write_text(text)
+    found = {name for name in CODES if before[name] != after[name]}
     if changed == {"runs"}:  # rows of other studies may use the same code
         assert "runs" in found
         assert found <= OF_ROWS
@@ -162,28 +157,23 @@ def test_of_a_study_the_definitions_count_that_measure_reaches(tmp_path, old, ne
 
 
 def test_a_package_counts_with_all_that_it_imports_and_a_named_folder_with_all_in_it(tmp_path):
-    package = tmp_path / "ssac"
-    package.mkdir()
-    (package / "__init__.py").write_text("from ssac.one import first\nfrom ssac.two import second")
-    (package / "one.py").write_text("first = 1")
-    (package / "two.py").write_text("second = 2")
-    (package / "user.py").write_text("from ssac import first")
-    (package / "lazy.py").write_text('MODULES = {"second": "ssac.two:second"}')
-    (package / "folder").mkdir()
-    (package / "folder" / "__init__.py").write_text("")
-    (package / "folder" / "inner.py").write_text("from ssac.one import first")
-    (package / "all.py").write_text('FOLDER = "ssac.folder"')
+    package = {
+        "__init__.py": "from ssac.one import first\nfrom ssac.two import second",
+        "one.py": "first = 1",
+        "two.py": "second = 2",
+        "user.py": "from ssac import first",
+        "lazy.py": 'MODULES = {"second": "ssac.two:second"}',
+        "folder/__init__.py": "",
+        "folder/inner.py": "from ssac.one import first",
+        "all.py": 'FOLDER = "ssac.folder"',
+    }
+    for name, text in package.items():
+        save_text(tmp_path / "ssac" / name, text)
     tree = SourceTree(tmp_path)
     assert tree.closure("ssac.user") == {"ssac.user", "ssac", "ssac.one", "ssac.two"}
     folder = {"ssac.folder", "ssac.folder.inner"}
     assert tree.closure("ssac.all") == {"ssac.all", *folder, "ssac.one"}
     assert tree.closure("ssac.lazy") == {"ssac.lazy", "ssac.two"}
-
-
-def test_a_row_depends_on_no_network_plot_or_command():
-    row = SourceTree().closure(*CODES["runs"])
-    others = {name for name in row if set(name.split(".")) & {"network", "plots", "cli"}}
-    assert others <= {"ssac.cli.progress"}
 
 
 def test_packages_only_list_names():
@@ -196,7 +186,7 @@ def test_packages_only_list_names():
             assert all(isinstance(line, allowed) for line in body), path
 
 
-def test_no_measure_reaches_a_drawing():
+def test_no_measure_reaches_a_drawing_and_that_of_the_tables_no_network_plot_or_command():
     """So an edit of a drawing makes no row new."""
     names = [
         name
@@ -205,6 +195,9 @@ def test_no_measure_reaches_a_drawing():
     ]
     reached = SourceTree().closure(*(code for name in names for code in code_of_study(name)))
     assert not {one for one in reached if one.startswith("experiments.drawing")}
+    row = SourceTree().closure(*CODES["runs"])
+    others = {name for name in row if set(name.split(".")) & {"network", "plots", "cli"}}
+    assert others <= {"ssac.cli.progress"}
 
 
 def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
