@@ -100,10 +100,3 @@ def test_a_new_folder_needs_a_place(imports, package):
     changed = deepcopy(imports)
     changed.add_module(f"{package}.new")
     assert list(broken(changed)) == [f"Data flow one way through {package}"]
-
-
-def test_both_sides_have_the_same_events():
-    from sim.sensor.kernels import EVENT_DTYPE as SIMULATED
-    from ssac.events import EVENT_DTYPE as READ
-
-    assert SIMULATED == READ

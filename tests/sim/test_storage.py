@@ -2,13 +2,13 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import h5py
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import sim.storage
 from sim.errors import SimError
 from sim.recorded import CameraRecording, Drift, Recording, Truth
 from sim.recording import simulate
@@ -29,9 +29,9 @@ PROVENANCE = {"seed": 3, "spline": SPLINE, "files": ["a.csv"], "none": None, "on
 QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 
 
-def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567, seed=0):
+def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567):
     """Make a recording of random events, frames and poses, as no simulation is needed to write."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rig = two_view_rig(
         70.0, t_d_s=T_D_S, distortion_model="radtan", distortion_coeffs=(-0.1, 0.01, 0.001, 0.0)
     )
@@ -46,7 +46,7 @@ def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567, seed=0):
         cameras.append(CameraRecording(camera, events, Frames(times_us, images, 0.005)))
     R, t, baseline_m = rig.extrinsics()
     T_W_B = np.tile(np.eye(4), (20, 1, 1))
-    T_W_B[:, :3, :3] = Rotation.random(20, random_state=seed).as_matrix()
+    T_W_B[:, :3, :3] = Rotation.random(20, random_state=0).as_matrix()
     T_W_B[:, :3, 3] = rng.uniform(-2, 2, (20, 3))
     T_W_B[7, :3, 3] = [0.0, -9.0, 0.0]  # behind camera 1
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
@@ -83,6 +83,7 @@ def test_hdf5_and_esim_text_are_read_back(tmp_path, n_events, n_frames, first_us
             assert (float(t) * 1e6, *map(int, x_y_p)) == pytest.approx(camera.events[0].tolist())
             for suffix in (".h5", ".txt"):
                 read = load_events(path.with_suffix(suffix))
+                assert read.events.dtype == EVENT_DTYPE
                 np.testing.assert_array_equal(read.events, camera.events)
                 assert (read.width, read.height) == (346, 260)
         frames = load_frames(path)
@@ -92,9 +93,9 @@ def test_hdf5_and_esim_text_are_read_back(tmp_path, n_events, n_frames, first_us
             np.testing.assert_array_equal(frames[1], camera.frames.images)
 
 
-def test_rigs_are_read_back(tmp_path):
+def test_rigs_and_the_truth_are_complete(tmp_path):
     recording = made_up_recording()
-    save_recording(recording, tmp_path / "out", {})
+    save_recording(recording, tmp_path / "out", PROVENANCE)
     assert load_rig(tmp_path / "out" / "rig.yaml").T_2_1 is None
     known, truth = load_rig(tmp_path / "out" / "rig_extrinsics.yaml"), recording.truth
     np.testing.assert_allclose(known.T_2_1[:3, :3], truth.R, atol=1e-12)  # round-off
@@ -103,11 +104,6 @@ def test_rigs_are_read_back(tmp_path):
         np.testing.assert_array_equal(read.K, made.K)
         assert (read.width, read.height) == (made.width, made.height)
         assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact intrinsics
-
-
-def test_the_truth_is_complete(tmp_path):
-    recording = made_up_recording()
-    save_recording(recording, tmp_path / "out", PROVENANCE)
     truth = json.loads((tmp_path / "out" / "truth.json").read_text(), parse_constant=pytest.fail)
     assert (truth["t_d_s"], truth["skew_ppm"], truth["t_ref_s"]) == (T_D_S, -20_000.0, 0.5)
     assert truth["clock_jump"] == {"at_s": 0.7, "size_s": 0.005}
@@ -136,7 +132,7 @@ def test_the_truth_is_complete(tmp_path):
 @pytest.mark.parametrize("at_once", [1, 7, 70, 1000])
 def test_many_large_frames_are_not_waiting_for_each_other(tmp_path, monkeypatch, at_once):
     """The frames that are stored are the same, however few of them may be in memory at once."""
-    monkeypatch.setattr(sim.storage, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
+    monkeypatch.setattr("sim.storage._MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
     recording = made_up_recording(n_frames=5)
     save_recording(recording, tmp_path / "out", {})
     with h5py.File(tmp_path / "out" / "cam1.h5") as file:
@@ -157,9 +153,6 @@ def test_the_same_bytes_are_written_after_a_simulation_and_meanwhile(tmp_path):
     assert recorded.flight.n_instants == recording.n_instants
 
 
-# --- All or nothing ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("step", ["CameraFiles", "save_events_text", "kalibr_yaml", "_truth"])
 @pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
@@ -168,10 +161,7 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
 ):
     (tmp_path / "empty").mkdir()
 
-    def fail(*arguments, **options):
-        raise error
-
-    monkeypatch.setattr(sim.storage, step, fail)
+    monkeypatch.setattr(f"sim.storage.{step}", Mock(side_effect=error))
     expected = SimError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):
         save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)

@@ -43,17 +43,6 @@ def test_no_two_samples_of_a_turned_pixel_share_a_row_or_column(a):
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
-@pytest.mark.parametrize("size_px", [(1, 1), (5, 3), (4, 9)])
-def test_a_tile_covers_its_crop_and_nothing_else(lattice, size_px):
-    width, height = size_px
-    x0, y0 = 17, -4
-    owned = np.concatenate([samples(lattice, x0 + i, y0 + j) for i, j in np.ndindex(size_px)])
-    (origin,) = lattice.tile_origin(np.array([x0]), np.array([y0]), height)
-    np.testing.assert_array_equal(owned.min(axis=0), origin)
-    np.testing.assert_array_equal(owned.max(axis=0) - origin + 1, lattice.tile_size(width, height))
-
-
-@pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
 def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice):
     size_px, corner = (6, 5), np.zeros((1, 2), np.int64)
     (origin,) = lattice.tile_origin(*corner.T, size_px[1])
