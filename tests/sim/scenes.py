@@ -89,8 +89,8 @@ def grey(camera: Camera, luminance: float = 0.6) -> Image:
     return np.full((camera.height, camera.width), luminance, np.float32)
 
 
-def noise_image(camera: Camera, seed: int = 0) -> Image:
-    return rng(seed).random((camera.height, camera.width)).astype(np.float32)
+def noise_image(camera: Camera) -> Image:
+    return rng().random((camera.height, camera.width)).astype(np.float32)
 
 
 def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> Image:
@@ -104,11 +104,11 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
     return images
 
 
-def smooth_video(n: int, height: int, width: int, seed: int = 0) -> NDArray[np.float32]:
+def smooth_video(n: int, height: int, width: int) -> NDArray[np.float32]:
     """Blobs that drift over each other: every pixel brightens and darkens by many thresholds."""
     y, x = np.mgrid[:height, :width]
     t = np.arange(n)[:, None, None] / n
-    phase = rng(seed).uniform(0, 2 * np.pi, 3)
+    phase = rng().uniform(0, 2 * np.pi, 3)
     waves = np.sin(0.31 * x + 9 * t + phase[0]) + np.sin(0.23 * y - 7 * t + phase[1])
     waves += np.sin(0.11 * (x + y) + 13 * t + phase[2])
     return (0.5 + 0.1666 * waves).astype(np.float32)

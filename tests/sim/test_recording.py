@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import trimesh
 
-import sim.render.native
 from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, drift_of
@@ -134,7 +133,7 @@ def test_progress_goes_from_0_to_1_and_the_backend_is_recorded():
 
 def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch):
     """Frames come one by one and events in order; few of either are left for a camera's end."""
-    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # as there are few instants
+    monkeypatch.setattr("sim.render.native.BATCH", 32)  # as there are few instants
     cameras = {}
 
     def open_sink(camera, times_us, _):

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sim.twin.calibration
 from sim.disturb import DisturbConfig
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
@@ -77,10 +76,11 @@ def test_numbers_that_must_be_positive(config, name, value):
         config(**{name: value})
 
 
-def video(light=0.5, k=0):
-    frames = GREY.copy()
-    frames[k, 1, 2] = light
-    return frames
+def grey_with(light, shape=(48, 64), place=(3, 4)):
+    """An array of 0.5 but for one place."""
+    grey = np.full(shape, 0.5)
+    grey[place] = light
+    return grey
 
 
 CASES = [
@@ -92,8 +92,8 @@ CASES = [
       for s in ((3, 4), (3, 4, 5, 3), (2, 4, 5), (1, 4, 5))),
     *((lambda t=t: events_from_frames(GREY, np.array(t)), "times must be finite and increase")
       for t in ([0, 2, 1], [0, 1, 1], [0, NAN, 2], [0, 1, INF])),
-    *((lambda v=v, k=k: events_from_frames(video(v, k), STEADY), r"linear intensities in \[0, 1\]")
-      for v in (-0.01, 1.01, NAN, INF) for k in (0, 2)),
+    *((lambda v=v, k=k: events_from_frames(grey_with(v, GREY.shape, (k, 1, 2)), STEADY),
+       r"linear intensities in \[0, 1\]") for v in (-0.01, 1.01, NAN, INF) for k in (0, 2)),
     # Effects.
     (lambda: SensorEffects(cutoff_min_hz=9e3), "cutoff_min_hz must be at most cutoff_max_hz"),
     (lambda: SensorEffects(flicker_depth=1.0), "flicker_depth must be less than 1"),
@@ -185,7 +185,7 @@ BENCH = bench_rig(TwinConfig())
 
 @pytest.mark.parametrize(("ask", "message"), CASES)
 def test_what_makes_no_sense_is_refused(ask, message, monkeypatch):
-    monkeypatch.setattr(sim.twin.calibration, "MAX_TRIES", 100)
+    monkeypatch.setattr("sim.twin.calibration.MAX_TRIES", 100)
     with pytest.raises(SimError, match=message):
         ask()
 
@@ -198,15 +198,9 @@ def test_distortion_that_folds_the_image_is_refused(lens):
     two_view_rig(90.0, focal_px=2000.0, **lens)
 
 
-def wall_with(light):
-    wall = np.full((48, 64), 0.5)
-    wall[3, 4] = light
-    return wall
-
-
 def two_arrays():
     file = BytesIO()
-    np.savez(file, one=wall_with(0.5), other=wall_with(0.5))
+    np.savez(file, one=grey_with(0.5), other=grey_with(0.5))
     return file.getvalue()
 
 
@@ -228,7 +222,7 @@ SIZE, LIGHT = "expected 64 x 48 pixels .* resize", r"expected linear luminance i
 UNREAD = "cannot read the background .*"
 WALLS = [
     *(("wall.npy", np.zeros(shape), SIZE) for shape in ((48, 63), (64, 48), (48, 64, 3))),
-    *(("wall.npy", wall_with(light), LIGHT) for light in (-0.1, 1.1, NAN, INF)),
+    *(("wall.npy", grey_with(light), LIGHT) for light in (-0.1, 1.1, NAN, INF)),
     *(("wall.npy", np.array(odd), "wall") for odd in (["a"] * 4, [None])),
     *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
     *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),

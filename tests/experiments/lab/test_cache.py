@@ -7,19 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import experiments.lab.cache as module
-import experiments.lab.grid as grid
-from experiments.lab.cache import (
-    ASIDE,
-    BRIGHTNESS_CODE,
-    Cache,
-    content,
-    recording_key,
-    row_of_text,
-    run_key,
-    save_sums,
-    text_of_row,
-)
+from experiments.lab import cache as module
+from experiments.lab import grid
+from experiments.lab.cache import ASIDE, Cache, content, recording_key, run_key
 from experiments.lab.grid import Cell
 from sim.errors import SimError
 from sim.recording import SimConfig
@@ -38,9 +28,6 @@ MEANS = {"cam1": np.linspace(0, 1, 9), "times1_us": np.arange(9), "cam2": np.emp
 
 def files_in(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob("*") if path.is_file()]
-
-
-# --- What an entry depends on ---
 
 
 def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does_not():
@@ -99,9 +86,6 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
     assert {name for name, key in keys().items() if key != before[name]} == {packages}
 
 
-# --- Nothing is made twice or half ---
-
-
 def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_path):
     unknown = SimConfig(render=RenderConfig(backend="vulkan"))
     for config, said in ((SimConfig(angle_deg=200.0), "the angle between"), (unknown, "vulkan")):
@@ -128,10 +112,7 @@ def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_w
     cache.save_run("abcd", ROW)
     assert cache.load_run("abcd") == ROW
     assert files_in(tmp_path) == ["abcd.json"]
-    assert cache.size_bytes() == len(text_of_row(ROW))
-
-
-# --- Damaged entries ---
+    assert cache.size_bytes() == len(module.text_of_row(ROW))
 
 
 def flipped(data: bytes, at: int) -> bytes:
@@ -139,11 +120,11 @@ def flipped(data: bytes, at: int) -> bytes:
 
 
 def test_no_flipped_bit_of_a_row_goes_unseen():
-    text = text_of_row(ROW).encode()
-    assert row_of_text(text) == ROW
+    text = module.text_of_row(ROW).encode()
+    assert module.row_of_text(text) == ROW
     for at in range(len(text)):
-        assert row_of_text(flipped(text, at)) in (None, ROW)  # 1e0 and 1E0 are one number
-        assert row_of_text(text[:at]) is None
+        assert module.row_of_text(flipped(text, at)) in (None, ROW)  # 1e0 and 1E0 are one number
+        assert module.row_of_text(text[:at]) is None
 
 
 def test_a_damaged_row_is_moved_aside_and_said_once(tmp_path, capsys):
@@ -166,7 +147,7 @@ def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew
 
     def check(inputs):
         made = cache.told(
-            "brightness", recording, BRIGHTNESS_CODE, [*MEANS],
+            "brightness", recording, module.BRIGHTNESS_CODE, [*MEANS],
             lambda: told.append(inputs) or MEANS, inputs,
         )  # fmt: skip
         for name, one in MEANS.items():
@@ -191,7 +172,7 @@ def folder(tmp_path, monkeypatch):
     made.mkdir(parents=True)
     save_events_h5(made / "cam1.h5", empty_events(), 346, 260)
     (made / "rig.yaml").write_text("cam0:\n")
-    save_sums(made)
+    module.save_sums(made)
     monkeypatch.setattr(Cache, "_recording_path", lambda *_: made)
     return made
 

@@ -5,25 +5,21 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-import sim.render.gl_atlas
-import sim.render.gl_context
-import sim.render.native
-import sim.render.renderer
-import sim.scene.drone
 from sim.errors import SimError
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.footprint import footprint, plan_views
 from sim.render.gl_atlas import GLPainter
-from sim.render.gl_context import BACKENDS, open_context
+from sim.render.gl_context import BACKENDS, _open, open_context
 from sim.render.lattice import Lattice
 from sim.render.native import NativePainter
-from sim.render.renderer import Renderer
+from sim.render.renderer import CHECKED_INSTANTS, Renderer
 from sim.scene.flyers import quadrotor
 from tests.sim.scenes import (
     LENSES,
@@ -92,9 +88,9 @@ def test_batches_do_not_show(lens, renderer, monkeypatch):
     inside = slice(8, 52)  # not cut off by the image's border
     np.testing.assert_array_equal(np.concatenate(parts)[inside], whole[inside])
     for size in (100, 333, 3000):
-        monkeypatch.setattr(sim.render.gl_atlas, "ATLAS_SIZE", size)
-        monkeypatch.setattr(sim.render.native, "BATCH", size // 30)
-        monkeypatch.setattr(sim.render.native, "BLOCK_SAMPLES", size // 2)
+        monkeypatch.setattr("sim.render.gl_atlas.ATLAS_SIZE", size)
+        monkeypatch.setattr("sim.render.native.BATCH", size // 30)
+        monkeypatch.setattr("sim.render.native.BLOCK_SAMPLES", size // 2)
         again = drawn(drone, camera, times_s, T_W_B, background, config)
         np.testing.assert_array_equal(again[inside], whole[inside])
         assert (again != whole).sum() <= 1  # cut edges: see test_same_pixels_as_in_a_full_frame
@@ -280,7 +276,7 @@ def test_one_process_one_backend():
 def test_osmesa_comes_first_and_egl_next(monkeypatch):
     installed = {"OSMesa", "EGL"}
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)  # nothing has been chosen yet
-    monkeypatch.setattr(sim.render.gl_context, "_open", lambda backend: backend)
+    monkeypatch.setattr("sim.render.gl_context._open", lambda backend: backend)
     monkeypatch.setattr(
         ctypes.util, "find_library", lambda name: f"lib{name}.so" if name in installed else None
     )
@@ -301,7 +297,7 @@ def test_a_library_that_does_not_load(backend, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenGL.contextdata", None)
     said = rf"^cannot open a GL context with {backend} \(.*: install libosmesa6, or libegl1 .*$"
     with pytest.raises(SimError, match=said):
-        sim.render.gl_context._open.__wrapped__(backend)
+        _open.__wrapped__(backend)
 
 
 # --- The native renderer ------------------------------------------------------------------------
@@ -338,7 +334,7 @@ def test_the_check_compares_instants_and_says_how_far_they_were():
     with Renderer(quadrotor(), RenderConfig(), seed=5) as renderer:
         assert list(renderer.crops(camera, times_s, T_W_B, grey(camera)))
         check = renderer.check
-    assert check.n_instants == sim.render.renderer.CHECKED_INSTANTS
+    assert check.n_instants == CHECKED_INSTANTS
     assert check.n_pixels > 25 * 50  # a flat drone from its side, 36 px wide
     assert 0.0 < check.mean_difference < 1e-4
 
@@ -356,11 +352,7 @@ def test_edges_along_the_lattice_pass_the_check():
 
 def test_a_renderer_that_differs_is_refused(monkeypatch):
     paint = NativePainter.paint
-
-    def shifted(*arguments):
-        return np.roll(paint(*arguments), 1, axis=2)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(NativePainter, "paint", shifted)
+    monkeypatch.setattr(NativePainter, "paint", lambda *view: np.roll(paint(*view), 1, axis=2))
     camera = make_camera()
     T_W_B = straight(np.arange(2.0), (0.0, 0.0, 0.0), (0.2, 0.0, 0.0))
     said = r"native renderer differs from pyrender by up to 0\..*report"
@@ -369,20 +361,14 @@ def test_a_renderer_that_differs_is_refused(monkeypatch):
 
 
 def test_without_the_check_opengl_is_not_opened(monkeypatch):
-    def refuse(*_):
-        raise AssertionError
-
-    monkeypatch.setattr(GLPainter, "__init__", refuse)
+    monkeypatch.setattr(GLPainter, "__init__", Mock(side_effect=AssertionError))
     camera = make_camera()
     scene = (BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera))
     assert drawn(*scene, unchecked("native")).min() < 0.6
 
 
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch):
-    def full(*_, **__):
-        raise MemoryError
-
-    monkeypatch.setattr(sim.scene.drone, "Faces", full)
+    monkeypatch.setattr("sim.scene.drone.Faces", Mock(side_effect=MemoryError))
     camera = make_camera()
     scene = (painted(BOX, 0.2), camera, np.zeros(1), np.eye(4)[None], grey(camera))
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):

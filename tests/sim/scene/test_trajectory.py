@@ -5,13 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from sim.scene import trajectory
-from sim.scene.trajectory import (
-    SplineConfig,
-    _fit_smoothing_spline,
-    random_spline,
-    trajectory_from_csv,
-    trajectory_to_csv,
-)
+from sim.scene.trajectory import SplineConfig, random_spline, trajectory_from_csv
 from tests.sim.scenes import rng
 
 SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
@@ -31,9 +25,6 @@ def radius_m(path):
     return float(np.hypot(path[:, 0], path[:, 1]).max())
 
 
-# --- Random splines ---------------------------------------------------------------------------
-
-
 def test_third_derivative_is_continuous_and_fourth_is_not():
     # An order-5 spline is of degree 4: across a knot only its fourth derivative jumps.
     position = spline(4).position
@@ -50,7 +41,7 @@ def test_third_derivative_is_continuous_and_fourth_is_not():
 def test_fit_minimises_its_functional():
     draws = rng(0)
     times_s, values = np.linspace(0, 4, 21), draws.uniform(-1, 1, (21, 1))
-    fit = _fit_smoothing_spline(times_s, values, order=5, n_segments=20, smoothing=0.05)
+    fit = trajectory._fit_smoothing_spline(times_s, values, order=5, n_segments=20, smoothing=0.05)
     dense_s = np.linspace(0, 4, 20001)
 
     def cost(coefficients):
@@ -81,9 +72,9 @@ def test_no_trajectory_leaves_its_circle_and_the_default_stays_upright():
 def test_a_long_spline_is_fitted_as_a_short_one_is(monkeypatch, order):
     times_s = np.linspace(0, 41.7, 209)
     values = np.random.default_rng(0).uniform(-1, 1, (209, 6))
-    short = _fit_smoothing_spline(times_s, values, order, 209, 0.0036)
+    short = trajectory._fit_smoothing_spline(times_s, values, order, 209, 0.0036)
     monkeypatch.setattr(trajectory, "LONG_SEGMENTS", 0)
-    long = _fit_smoothing_spline(times_s, values, order, 209, 0.0036)
+    long = trajectory._fit_smoothing_spline(times_s, values, order, 209, 0.0036)
     np.testing.assert_array_equal(long.t, short.t)
     # Round-off of the linear solve, whose condition number is about 1e3.
     np.testing.assert_allclose(long.c, short.c, atol=1e-11)
@@ -100,19 +91,10 @@ def test_an_hour_is_flown_within_the_circle():
     np.testing.assert_allclose(path.std(axis=0), short.std(axis=0), rtol=0.3)
 
 
-# --- CSV files --------------------------------------------------------------------------------
-
-
-def write(tmp_path, text):
-    path = tmp_path / "path.csv"
-    path.write_text(text)
-    return path
-
-
 def test_csv_round_trip(tmp_path):
     original = spline(5)
     path = tmp_path / "path.csv"
-    trajectory_to_csv(original, path, rate_hz=100.0)
+    trajectory.trajectory_to_csv(original, path, rate_hz=100.0)
     copy = trajectory_from_csv(path)
     assert copy.duration_s == original.duration_s
     rows_s, between_s = np.linspace(0, 6, 601), np.linspace(0, 6, 997)
@@ -126,8 +108,11 @@ def test_csv_header_order_comments_and_start_time(tmp_path):
     plain = "".join(ROW.format(t, t**2) for t in (10.0, 10.5, 11.0, 12.0))
     rows = (f"0,0,0,2,{t**2},0,1,{t}  # row\n\n" for t in (10.0, 10.5, 11.0, 12.0))
     named = "# made by hand\nqx,qy,qz,qw,x,y,z,t\n" + "".join(rows)
-    from_plain = trajectory_from_csv(write(tmp_path, plain))
-    from_named = trajectory_from_csv(write(tmp_path, f"\ufeff{named}"))  # as spreadsheets begin
+    found, path = [], tmp_path / "path.csv"
+    for text in (plain, f"\ufeff{named}"):  # as spreadsheets begin
+        path.write_text(text)
+        found.append(trajectory_from_csv(path))
+    from_plain, from_named = found
     assert from_plain.duration_s == from_named.duration_s == 2.0
     times_s = np.linspace(0, 2, 9)
     np.testing.assert_array_equal(from_plain.poses(times_s), from_named.poses(times_s))

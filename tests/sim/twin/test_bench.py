@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
-import sim.twin.bench
 from sim.render.config import RenderConfig
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
@@ -113,7 +112,7 @@ def test_the_model_is_three_by_three_by_one_centimetres():
 
 def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch):
     soft = wall(346, 260, rng(1))
-    monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # neighbours have almost no share
+    monkeypatch.setattr("sim.twin.bench.DEFOCUS_PX", 0.3)  # neighbours have almost no share
     sharp = wall(346, 260, rng(1))
     assert sharp.shape == (260, 346)
     assert 0.0 < sharp.min() <= sharp.max() < 1.0
