@@ -1,26 +1,19 @@
 """Small drones, cameras, poses, pictures and videos that several tests share."""
 
-from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
-from sim.render.renderer import Crops
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera, two_view_rig
+from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-
-LENSES: dict[str, tuple[float, ...]] = {
+LENSES = {
     "none": (),
     "radtan": (-0.25, 0.06, 0.002, -0.001),
     "equidistant": (0.05, -0.02, 0.003, 0.001),
@@ -36,11 +29,11 @@ QUICK = SimConfig(
 )
 
 
-def rng(seed: int = 0) -> np.random.Generator:
+def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def make_camera(model: str = "none", resolution: tuple[int, int] = (346, 260)) -> Camera:
+def make_camera(model="none", resolution=(346, 260)):
     """Camera 1 at (0, -5, 0), looking along +y."""
     width, height = resolution
     rig = two_view_rig(
@@ -54,20 +47,20 @@ def make_camera(model: str = "none", resolution: tuple[int, int] = (346, 260)) -
     return rig.cameras[0]
 
 
-def box_drone(size_m: tuple[float, float, float], albedo: float = 0.2) -> Drone:
+def box_drone(size_m, albedo=0.2):
     box = trimesh.creation.box(size_m)
     faces = np.array(box.faces)
     part = Part(np.array(box.vertices), faces, np.full(len(faces), albedo))
     return Drone((part,), max(size_m[:2]))
 
 
-def painted(drone: Drone, albedo: float) -> Drone:
+def painted(drone, albedo):
     """The drone in one colour, so that it does not matter which of two intersecting parts shows."""
     parts = (replace(part, albedo=np.full(len(part.faces), albedo)) for part in drone.parts)
     return replace(drone, parts=tuple(parts))
 
 
-def poses(positions_m: Array, seed: int | None = None) -> Array:
+def poses(positions_m, seed=None):
     """T_W_B (n, 4, 4) at these positions (n, 3), level or with random attitudes."""
     T_W_B = np.tile(np.eye(4), (len(positions_m), 1, 1))
     if seed is not None:
@@ -76,24 +69,24 @@ def poses(positions_m: Array, seed: int | None = None) -> Array:
     return T_W_B
 
 
-def tumbling(n: int, seed: int, centre_m: tuple[float, ...], spread_m: tuple[float, ...]) -> Array:
+def tumbling(n, seed, centre_m, spread_m):
     """Random poses, uniform in a box."""
     return poses(centre_m + rng(seed).uniform(-1.0, 1.0, (n, 3)) * spread_m, seed)
 
 
-def straight(times_s: Array, start_m: tuple[float, ...], velocity_m_s: tuple[float, ...]) -> Array:
+def straight(times_s, start_m, velocity_m_s):
     return poses(np.asarray(start_m) + np.outer(times_s, velocity_m_s))
 
 
-def grey(camera: Camera, luminance: float = 0.6) -> Image:
+def grey(camera, luminance=0.6):
     return np.full((camera.height, camera.width), luminance, np.float32)
 
 
-def noise_image(camera: Camera) -> Image:
+def noise_image(camera):
     return rng().random((camera.height, camera.width)).astype(np.float32)
 
 
-def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> Image:
+def whole_images(crops, times_s, background):
     """Images (n, height, width) at all instants: the crops pasted over the background."""
     images = np.repeat(background[None], len(times_s), axis=0)
     for crop in crops:
@@ -104,7 +97,7 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
     return images
 
 
-def smooth_video(n: int, height: int, width: int) -> NDArray[np.float32]:
+def smooth_video(n, height, width):
     """Blobs that drift over each other: every pixel brightens and darkens by many thresholds."""
     y, x = np.mgrid[:height, :width]
     t = np.arange(n)[:, None, None] / n
@@ -114,9 +107,7 @@ def smooth_video(n: int, height: int, width: int) -> NDArray[np.float32]:
     return (0.5 + 0.1666 * waves).astype(np.float32)
 
 
-def reference_levels(
-    events: NDArray[Any], thresholds_on: Any, thresholds_off: Any, shape: tuple[int, int]
-) -> NDArray[np.float64]:
+def reference_levels(events, thresholds_on, thresholds_off, shape):
     """Return the change of log intensity to which the events of each pixel add up."""
     change = np.zeros(shape)
     x, y = events["x"], events["y"]
@@ -125,7 +116,7 @@ def reference_levels(
     return change
 
 
-def counts(events: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.int64]:
+def counts(events, shape):
     """Count the events of each pixel, row by row."""
     return np.bincount(
         events["y"].astype(int) * shape[1] + events["x"], minlength=shape[0] * shape[1]

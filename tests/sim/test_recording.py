@@ -18,8 +18,6 @@ from tests.sim.scenes import QUICK, counts, rng
 pytestmark = pytest.mark.render
 
 SKY = 128  # its code in a frame
-
-
 DIM = SENSOR_PRESETS["davis346-dim"]
 
 

@@ -100,7 +100,6 @@ OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender",
           "intrinsics_error": (1.0, 1.0)}  # fmt: skip
 """Values for options where half the default, or 1, is no valid value."""
 
-
 DEFAULTS = {name: inspect.signature(simulate_command).parameters[name].default for name in OPTIONS}
 
 

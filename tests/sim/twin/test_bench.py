@@ -20,8 +20,6 @@ from tests.sim.scenes import reference_levels, rng
 SHORT = TwinConfig(
     angle_deg=65.06, spline=SplineConfig(1.0), render=RenderConfig(check=False), textured=False
 )
-
-
 WALLS = replace(SHORT, textured=True)
 
 
