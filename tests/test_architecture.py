@@ -1,6 +1,5 @@
 """Tests that each import contract of pyproject.toml finds the imports that it forbids."""
 
-from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
 
@@ -35,7 +34,7 @@ FLOORS = {
 """Folders and files of each package, in the order in which data flow through them."""
 
 
-def module_files() -> dict[str, Path]:
+def module_files():
     """Return every module of the three packages by its dotted name, `__init__` included."""
     return {
         ".".join(path.relative_to(ROOT).with_suffix("").parts): path
@@ -51,7 +50,7 @@ def imports():
     )
 
 
-def broken(imports: grimp.ImportGraph) -> Iterator[str]:
+def broken(imports):
     """Yield the names of the contracts that the imports break."""
     for options in CONFIGURATION["contracts_options"]:
         contract = TYPES[options["type"]](options["name"], SESSION, options)

@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import Any, NoReturn
 
 import pytest
 
@@ -23,7 +22,7 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, K
 from tests.ssac.tracks import frame_track
 
 
-def missing(what: str, command: str = "browser") -> NoReturn:
+def missing(what, command="browser"):
     """Skip the test, or fail it where SSAC_BROWSER is "required"."""
     reason = f"needs {what}: make {command}"
     if os.environ.get("SSAC_BROWSER") == "required":
@@ -89,34 +88,32 @@ def pages(recorded, tmp_path_factory):
 class Opened:
     """A page in the browser, with its messages and its requests for addresses not its own."""
 
-    def __init__(
-        self, browser: Any, address: str, own: str, width: int = 1400, **looks: str
-    ) -> None:
+    def __init__(self, browser, address, own, width=1400, **looks):
         # The page's own content security policy is bypassed, as it would keep axe out.
         self.context = browser.new_context(
             viewport={"width": width, "height": 900}, bypass_csp=True, **looks
         )
         self.page = self.context.new_page()
-        self.messages: list[str] = []
+        self.messages = []
         self.page.on("console", lambda message: self.messages.append(message.text))
         self.page.on("pageerror", lambda error: self.messages.append(str(error)))
         self.own = "data:", "blob:", own
         self.page.on("request", self._asked)
         self.page.goto(address)
 
-    def _asked(self, request: Any) -> None:
+    def _asked(self, request):
         if not request.url.startswith(self.own):
             self.messages.append(request.url)
 
-    def unfold(self) -> None:
+    def unfold(self):
         self.page.evaluate(
             "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
         )
 
-    def part(self, name: str) -> Any:
+    def part(self, name):
         return self.page.locator(f'[data-part="{name}"]')
 
-    def drawn(self, name: str) -> int:
+    def drawn(self, name):
         """Count the pixels of a canvas that are not empty."""
         script = """canvas => canvas.getContext("2d").getImageData(0, 0, canvas.width,
             canvas.height).data.filter((value, i) => i % 4 === 3 && value).length"""
@@ -125,7 +122,7 @@ class Opened:
 
 @pytest.fixture
 def opened(browser, pages):
-    made: list[Opened] = []
+    made = []
 
     def make(kind, **screen):
         if kind in SITE:
@@ -177,7 +174,7 @@ def test_the_keyboard_reaches_and_moves_all_controls(kind, opened):
     page = opened(kind)
     page.unfold()
     controls = page.page.locator("button:visible, input:visible, select:visible, summary:visible")
-    wanted, reached = controls.count(), set[str]()
+    wanted, reached = controls.count(), set()
     name = """() => { const one = document.activeElement;
         if (!one.matches("button, input, select, summary")) return "";
         one.dataset.number ??= String(window.reached = (window.reached ?? 0) + 1);

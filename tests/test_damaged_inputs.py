@@ -8,7 +8,6 @@ import json
 import re
 import resource
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -62,7 +61,7 @@ SIZES = (
 
 
 @st.composite
-def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
+def damaged(draw, whole, is_text):
     """Change a copy of a file: its first 1000 bytes, with any headers, as often as the rest."""
     if is_text and draw(st.booleans()):
         if draw(st.booleans()):
@@ -91,7 +90,7 @@ def damaged(draw: st.DrawFn, whole: bytes, is_text: bool) -> bytes:
     return draw(st.sampled_from(changed))
 
 
-def restructure(draw: st.DrawFn, path: Path) -> None:
+def restructure(draw, path):
     """Replace a dataset of an HDF5 file, or its sensor size, by something else."""
     with h5py.File(path, "a") as file:
         name = draw(st.sampled_from([name for name in IN_HDF5 if name in file]))
@@ -111,10 +110,6 @@ def restructure(draw: st.DrawFn, path: Path) -> None:
             file.create_virtual_dataset(name, value)
         elif value is not None:
             file[name] = value
-
-
-Write = Callable[[Path], object]
-Use = Callable[[Path], object]  # returns the number of events or points, or anything else
 
 
 TIMES_S = np.arange(250) / 25.0
@@ -138,15 +133,15 @@ ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
 MEANS = {"cam1": np.arange(50) / 50.0, "times1_us": np.arange(50)}
 
 
-def text(content: str) -> Write:
+def text(content):
     return lambda path: path.write_text(content, encoding="utf-8")
 
 
-def use_row(path: Path) -> None:
+def use_row(path):
     assert row_of_text(path.read_bytes()) in (None, ROW)
 
 
-def use_means(path: Path) -> None:
+def use_means(path):
     """Put this file into the cache, which must return its means or compute them anew."""
     cache = Cache(path.parent / "cache")
     told = (cache.folder / "recordings" / "abcd", BRIGHTNESS_CODE, [*MEANS], lambda: MEANS)
@@ -157,7 +152,8 @@ def use_means(path: Path) -> None:
         np.testing.assert_array_equal(values, MEANS[name])
 
 
-OTHERS: dict[str, tuple[Write, Use]] = {
+# How each file is written and used; the use returns the number of points, or anything else.
+OTHERS = {
     "track.csv": (
         lambda path: save_track(path, PointTrack(TIMES_S, POINTS_PX)),
         lambda path: len(load_track(path)),

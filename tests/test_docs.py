@@ -84,5 +84,5 @@ def test_the_reference_says_what_each_field_is(name):
     assert {field.name for field in fields(one)} <= said
 
 
-def _words(text: str) -> list[str]:
+def _words(text):
     return re.sub(r"-?\d[\d.]*|\(.*llvmpipe.*\)|osmesa|egl", "#", text).split()

@@ -6,7 +6,6 @@ that nothing is estimated twice from inputs that are the same to the last bit.
 """
 
 import pickle
-from collections.abc import Iterator
 from itertools import combinations
 from typing import Any
 
@@ -18,7 +17,7 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS
 from tests import answers
-from tests.answers import Recorded, answered, differences, untimed
+from tests.answers import answered, differences, untimed
 from tests.pipeline_recordings import RECORDINGS, write
 from tests.ssac.command import read_json, run
 
@@ -51,7 +50,7 @@ def found(monkeypatch):
     return of_chains
 
 
-def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
+def ways(recorded, method):
     """Yield each way's name, the answer expected from the Python call, and its own answer."""
     if len(recorded.files) > 2:
         yield "network", of_pairs(recorded, method), answered(answers.by_network, recorded, method)
@@ -64,7 +63,7 @@ def ways(recorded: Recorded, method: str) -> Iterator[tuple[str, Any, Any]]:
         yield "row", row, answered(answers.row_by_study, recorded, method)
 
 
-def of_pairs(recorded: Recorded, method: str) -> dict[Any, Any]:
+def of_pairs(recorded, method):
     """Answer each pair of cameras alone; if a pair is refused, return the first error alone."""
     # The whole rig chooses one object, and a pair alone may choose another.
     is_one = recorded.name == "three_cameras_two_drones"
@@ -76,7 +75,7 @@ def of_pairs(recorded: Recorded, method: str) -> dict[Any, Any]:
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_one_answer(name, tmp_path, found):
-    recorded, different = write(name, tmp_path), list[str]()
+    recorded, different = write(name, tmp_path), []
     # Matrices are so small that threads of BLAS only wait, which doubles the CPU time.
     with threadpool_limits(1):
         for method in METHODS.get(name, FEW):

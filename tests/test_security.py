@@ -17,7 +17,7 @@ BANNED = (
 OTHERS = re.compile(r"(?<![.\w])(?:compile|__import__)\(|allow_pickle=(?!False)")
 
 
-def faults(*arguments: str, source: str = "") -> str:
+def faults(*arguments, source=""):
     banned = ", ".join(f'"{name}" = {{ msg = "unsafe" }}' for name in BANNED)
     config = f"lint.flake8-tidy-imports.banned-api = {{ {banned} }}"
     command = [sys.executable, "-m", "ruff", "check", "--quiet", "--select", RULES]

@@ -113,7 +113,7 @@ def test_what_is_asked_wrongly_is_one_line_and_leaves_nothing(tmp_path, monkeypa
 
 
 def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
-    def fails() -> None:
+    def fails():
         raise SimError("no such thing")
 
     monkeypatch.setitem(sys.modules, "experiments.scenes.demo", SimpleNamespace(demo_command=fails))

@@ -11,7 +11,6 @@ from experiments.cli import app
 from experiments.lab import schedule
 from experiments.lab.again import (
     ROUNDING,
-    Drawn,
     draw,
     measured_by,
     recomputed,
@@ -21,7 +20,6 @@ from experiments.lab.again import (
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import Runs
-from experiments.lab.verify import Finding
 from experiments.studies import all_studies
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
@@ -34,7 +32,7 @@ def results(tmp_path):
     return tmp_path / "results"
 
 
-def names(drawn: list[Drawn]) -> list[tuple]:
+def names(drawn):
     return [(study.name, task.recordings) for study, task in drawn]
 
 
@@ -79,7 +77,7 @@ def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     drawn = draw([SQUARES], 1, 0)
 
-    def made_again(name: str) -> list[Finding]:
+    def made_again(name):
         (tmp_path / name).mkdir()
         return recomputed(drawn, Results(results), tmp_path / name, Workers(1))
 
@@ -92,7 +90,7 @@ def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     assert other.faults[0].startswith(fault)
 
 
-def row(**changes: str) -> pd.DataFrame:
+def row(**changes):
     values = {"flight": "3", "method": "joint", "status": "ok", "reason": "",
               "t_d_estimate_ms": "50.0123", "t_d_error_ms": "0.0123", "r_error_deg": "0.0512345",
               "t_error_deg": "0.04", "t_d_std_ms": "0.06", "r_z_normalised": "-1.00001",
@@ -105,7 +103,7 @@ RUNS = Runs("runs.csv", ("flight", "method"), numbered=False)
 WORDS = "23 sample times are valid at 0.055 s, 33 % beyond, 5 deg apart: 30 are needed"
 
 
-def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
+def faults(again, committed):
     return row_faults(again, committed, MEASURED, RUNS)
 
 
@@ -187,7 +185,7 @@ def test_a_run_that_is_gone_or_crashes_again_is_found():
     assert "KeyError" in fault
 
 
-def verify(results: Path, *options: str) -> tuple[int, str]:
+def verify(results, *options):
     arguments = ["verify", "--results", str(results), "--workers", "1", *options]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     return result.exit_code, result.output
@@ -196,7 +194,7 @@ def verify(results: Path, *options: str) -> tuple[int, str]:
 def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkeypatch):
     seen = []
 
-    def made_again(drawn, *_: object) -> list[Finding]:
+    def made_again(drawn, *_):
         seen.append(names(drawn))
         return []
 

@@ -26,7 +26,7 @@ ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.1 + 0.2, "r_error_deg": N
 MEANS = {"cam1": np.linspace(0, 1, 9), "times1_us": np.arange(9), "cam2": np.empty(0)}
 
 
-def files_in(folder: Path) -> list[str]:
+def files_in(folder):
     return [path.name for path in folder.rglob("*") if path.is_file()]
 
 
@@ -115,7 +115,7 @@ def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_w
     assert cache.size_bytes() == len(module.text_of_row(ROW))
 
 
-def flipped(data: bytes, at: int) -> bytes:
+def flipped(data, at):
     return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
 
 

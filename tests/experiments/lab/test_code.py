@@ -20,7 +20,7 @@ from ssac.pipeline.registry import OURS
 from tests.experiments.reported import record_flight
 
 
-def code_of_study(name: str) -> tuple[str, ...]:
+def code_of_study(name):
     study = all_studies()[name]
     measure = study.measure
     return code_of(measure.load, measure.row, measure.row_type, type(study.cells()[0]))
@@ -40,7 +40,7 @@ OF_ROWS = {"runs", "bounds", "refusals"}  # keys of rows, which the pipeline com
 OF_EVENTS = {"brightness", "denoised"}  # keys without the code that makes recordings
 
 
-def digests(root: Path) -> dict[str, str]:
+def digests(root):
     tree = SourceTree(root)
     return {name: tree.digest(*code) for name, code in CODES.items()}
 
@@ -208,7 +208,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
     config = Config(interval_s=(-0.1, 0.1), denoise=False)
     cells = [Cell(SimConfig(), 0, 0, 0.0, config, method.name, {}) for method in OURS]
     cells += [Cell(SimConfig(), 0, 0, 0.0, Config(interval_s=(-0.1, 0.1)), "zncc_e", {})]
-    called: set[tuple[str, int]] = set()
+    called = set()
 
     def note(frame, event, _):
         called.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
@@ -234,7 +234,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
     assert ours - SourceTree().closure(*CODES["runs"]) == set()
 
 
-def defined_at(path: Path, line: int) -> str:
+def defined_at(path, line):
     """Name the module of a line; within `experiments`, also the top-level definition around it."""
     module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     if not module.startswith("experiments"):

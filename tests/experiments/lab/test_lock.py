@@ -43,7 +43,7 @@ def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypat
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     text = left_by(path, socket.gethostname(), "elsewhere")  # its process id is in use on this host
 
-    def is_free_after(share: float) -> bool:
+    def is_free_after(share):
         nonlocal now_s
         now_s += share * cache.LAPSES_S
         with claimed(path) as is_ours:

@@ -5,7 +5,6 @@ import pytest
 from experiments import commands
 from experiments.commands import numbers_command, page_findings
 from experiments.lab.quote import rewrite_numbers, stale_numbers
-from experiments.lab.results import Results
 from experiments.lab.summary import digits, listed, markdown_table
 from experiments.studies import all_studies
 from ssac.errors import SsacError
@@ -24,11 +23,11 @@ the high half to <!--n:sum.high-->no<!--/n-->.
 """
 
 
-def _sum(half: str):
+def _sum(half):
     return lambda results: f"{results.value('squares', 'sum', half=half):.0f}"
 
 
-def _table(results: Results) -> str:
+def _table(results):
     table = results.table("squares")
     return markdown_table(list(table), [[str(cell) for cell in row] for row in table.to_numpy()])
 

@@ -7,7 +7,7 @@ from ssac.estimate import Estimate
 from ssac.geometry.pose import moved_pose, pose_step
 
 
-def turn(angle_deg: float, axis: tuple[float, float, float] = (0.0, 0.6, 0.8)) -> np.ndarray:
+def turn(angle_deg, axis=(0.0, 0.6, 0.8)):
     return Rotation.from_rotvec(np.deg2rad(angle_deg) * np.array(axis)).as_matrix()
 
 

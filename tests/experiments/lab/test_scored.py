@@ -40,7 +40,7 @@ def fresh(pair):
     return of_same(pair)
 
 
-def cell_of(method: str, t_d_s: float) -> Cell:
+def cell_of(method, t_d_s):
     config = Config(interval_s=(t_d_s - 1.0, t_d_s + 1.0))
     return Cell(SimConfig(), 0, 0, t_d_s, config, method, {"sim.t_d_s": t_d_s})
 
@@ -104,7 +104,7 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
 HOW = Cleaning(denoise=True, n_neighbours=None)
 
 
-def assert_same(one: Clean, other: Clean) -> None:
+def assert_same(one, other):
     for field in fields(Clean):
         a, b = getattr(one, field.name), getattr(other, field.name)
         if isinstance(a, np.ndarray):

@@ -4,11 +4,9 @@ Real processes that share a cache or die are in `test_sweep.py`.
 """
 
 import json
-from collections.abc import Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -29,8 +27,8 @@ from tests.experiments.command import run as command
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 
 NUMBERS = range(4)
-LOADED: list[int] = []  # numbers whose recordings were loaded
-FAULTS: dict[str, BaseException] = {}  # errors to raise, by "number 3" or "power 2"
+LOADED = []  # numbers whose recordings were loaded
+FAULTS = {}  # errors to raise, by "number 3" or "power 2"
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,15 @@ class PowerCell(SquareCell):
     power: int
 
     @property
-    def recordings(self) -> tuple[Any, ...]:
+    def recordings(self):
         return ((SimConfig(), self.number),)
 
     @property
-    def columns(self) -> dict[str, Any]:
+    def columns(self):
         return {**super().columns, "power": self.power}
 
 
-def load_number(cells: Sequence[PowerCell], _: Cache) -> int:
+def load_number(cells, _):
     number = cells[0].number
     LOADED.append(number)
     if f"number {number}" in FAULTS:
@@ -56,7 +54,7 @@ def load_number(cells: Sequence[PowerCell], _: Cache) -> int:
     return number
 
 
-def power_row(cell: PowerCell, number: int) -> SquareRow:
+def power_row(cell, number):
     if f"power {cell.power}" in FAULTS:
         raise FAULTS[f"power {cell.power}"]
     return SquareRow("ok", "", number**cell.power / 7)
@@ -82,11 +80,11 @@ def no_gl(monkeypatch):
     monkeypatch.setattr(commands, "all_studies", lambda: {"squares": STUDY})
 
 
-def run(cache: Path) -> Any:
+def run(cache):
     return run_study(STUDY, Cache(cache), Workers(1))
 
 
-def study(*arguments: object) -> str:
+def study(*arguments):
     return command("study", *arguments, "--workers", 1)
 
 
@@ -131,7 +129,7 @@ def test_merged_shards_are_the_same_bytes(tmp_path):
     merged = json.loads((out.parent / "squares.provenance.json").read_text())
     assert [one["config"]["shard"] for one in merged["shards"]] == ["3/3", "2/3", "1/3"]
 
-    def refused(said: str, *shards: Path, out: Path = tmp_path / "x" / "squares_runs.csv") -> None:
+    def refused(said, *shards, out=tmp_path / "x" / "squares_runs.csv"):
         with pytest.raises(SsacError, match=said):
             command("merge", out, *shards)
         assert not out.exists()
@@ -220,7 +218,7 @@ def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
     with ExitStack() as other:
         assert other.enter_context(claimed(cache.claim_of_runs(recordings_key(first))))
 
-        def sleep(_: float) -> None:
+        def sleep(_):
             if 0 not in LOADED:  # the other run takes its time
                 assert LOADED == [1, 2, 3]  # the other run holds all that is left
                 if finishes:
@@ -241,11 +239,11 @@ class Mortal(Pool):
 
     room = 2
 
-    def __init__(self, deaths: dict[int, int]) -> None:
+    def __init__(self, deaths):
         self.deaths = dict(deaths)  # how often the recording of a number kills its worker
-        self.given: list[int] = []
+        self.given = []
 
-    def submit(self, job: Any) -> "Future[Any]":
+    def submit(self, job):
         number = job.args[0].cells[0].number
         self.given.append(number)
         if not self.deaths.get(number, 0):

@@ -34,16 +34,16 @@ def results(complete, tmp_path):
     return Path(copytree(complete, tmp_path / "results"))
 
 
-def all_of(folder: Path) -> list[verify.Finding]:
+def all_of(folder):
     of_study = verify.study_findings(SQUARES, Results(folder))
     return [*verify.file_findings(folder, [SQUARES]), *of_study]
 
 
-def faulty(findings) -> list[str]:
+def faulty(findings):
     return [finding.what for finding in findings if finding.faults]
 
 
-def sums_made_anew(folder: Path) -> None:
+def sums_made_anew(folder):
     (folder / SUMS_FILE).unlink(missing_ok=True)
     record_checksums(folder, [path for path in folder.rglob("*") if path.is_file()])
 
@@ -189,7 +189,7 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
         assert is_found, damage.__name__
 
 
-def _is_stale(study, results) -> bool:
+def _is_stale(study, results):
     committed = Results(RESULTS)
     try:
         return any(number(results) != number(committed) for number in study.numbers.values())

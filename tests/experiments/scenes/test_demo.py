@@ -82,7 +82,7 @@ def test_figures_are_those_of_the_truth():
 def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, capsys):
     flown = []
 
-    def take(config: SimConfig, seed: int) -> SceneFigures:
+    def take(config, seed):
         flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
         return SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6)
 
