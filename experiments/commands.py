@@ -34,9 +34,7 @@ from ssac.cli.options import argument, flag, named, number
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable
 
-N_RECORDINGS = 6
-"""Default number of recordings that `ssac verify` draws."""
-
+N_RECORDINGS = 6  # by default the number of recordings that `ssac verify` draws
 _SEEDS = 2**32
 
 

@@ -42,9 +42,7 @@ that 60 recordings agree with two processors' kernels. Rows from before may diff
 _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
 """Matches a measured number in a reason, one with decimals or a unit; counts have neither."""
 
-
-Drawn = tuple[Study, Task]
-"""A study, and the task of its runs on one recording that was drawn."""
+Drawn = tuple[Study, Task]  # a study, and the task of its runs on one recording that was drawn
 
 
 def sources_of(

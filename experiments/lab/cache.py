@@ -43,11 +43,8 @@ from ssac.files.whole_file import check_folder, remove_left_over, whole_file
 
 DEFAULT_FOLDER = Path("cache")
 
-ASIDE = "damaged"
-"""Folder of the cache to which damaged entries are moved, so that they can be inspected."""
-
-RECORDED = ("recordings", "brightness", "denoised")
-"""Folders of recordings, and of arrays that are computed from them once for all methods."""
+ASIDE = "damaged"  # folder of the damaged entries, where they can be inspected
+RECORDED = ("recordings", "brightness", "denoised")  # folders of recordings and of their arrays
 
 # Code that makes each kind of entry: none is in `experiments`, so edits there keep all entries.
 RECORDING_CODE = ("sim.recording", "sim.storage")
@@ -59,9 +56,7 @@ CLAIM = ".claim"
 LAPSES_S = 120.0
 """A lock untouched for this long [s] lapses: a network disk's delay (NFS: 60 s), 1 or 2 touches."""
 
-ASK_AGAIN_S = 1.0
-"""Time [s] after which a process that finds a lock taken tries again."""
-
+ASK_AGAIN_S = 1.0  # after which a process that finds a lock taken tries again
 
 Arrays = dict[str, NDArray[Any]]
 

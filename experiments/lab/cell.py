@@ -10,15 +10,10 @@ from typing import Any
 
 from sim.recording import SimConfig
 
-CRASHED = "crashed"
-"""Status of a run whose simulation or measure raised another error than an SsacError."""
+CRASHED = "crashed"  # status of a run whose simulation or measure raised no SsacError but another
+UNUSABLE = "unusable"  # status of a run on data that the method refuses with an SsacError
 
-UNUSABLE = "unusable"
-"""Status of a run on data that the method refuses with an SsacError."""
-
-Flight = tuple[SimConfig, int]
-"""The arguments of `simulate`: a configuration and a seed."""
-
+Flight = tuple[SimConfig, int]  # the arguments of `simulate`: a configuration and a seed
 Rows = list[dict[str, Any]]
 
 

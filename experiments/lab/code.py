@@ -28,8 +28,7 @@ PACKAGES = ("sim", "ssac", "experiments")
 SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
 
-Use = tuple[str, str]
-"""A module, and the name that is imported from it; "" for the whole module."""
+Use = tuple[str, str]  # a module, and the name that is imported from it; "" for all of it
 
 _ALWAYS = ""  # key of statements that count as soon as anything of their module does
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files that are no data

@@ -1,7 +1,4 @@
-"""The commands that run studies; their options are ALL_OPTIONS and the parameters of `cells`.
-
-All commands share their checks and their final messages.
-"""
+"""The commands that run studies; their options are ALL_OPTIONS and the parameters of `cells`."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +25,7 @@ T = TypeVar("T")
 
 _KEYWORD = Parameter.KEYWORD_ONLY
 _SCREEN = 120  # characters in a line
-
-NOT_SIMULATED = "recording: SimError: "
-"""Start of the reason of a run whose configuration the simulator rejects."""
+NOT_SIMULATED = "recording: SimError: "  # begins the reason of a run that the simulator rejects
 
 
 def _some(workers: int) -> int:
@@ -75,9 +70,7 @@ ALL_OPTIONS: Mapping[str, Parameter] = {
 }
 """Options shared by the commands that run studies, by name."""
 
-
-Chosen = tuple[Sequence[Study], Options]
-"""Studies to run, and values of their options."""
+Chosen = tuple[Sequence[Study], Options]  # studies to run, and values of their options
 
 
 def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:

@@ -29,11 +29,8 @@ else:
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
-MAX_CELLS = 1_000_000
-"""Largest number of runs of a grid, which would take a year."""
-
-MAX_DURATION_S = 3600.0
-"""Longest flight [s], as for `ssac simulate`."""
+MAX_CELLS = 1_000_000  # most runs of a grid: they would take a year
+MAX_DURATION_S = 3600.0  # longest flight, as for `ssac simulate`
 
 _KEYS = ("title", "flights", "first_flight", "methods", "search_around_truth_s",
          "fixed", "grid", "together", "figure")  # fmt: skip
@@ -42,10 +39,7 @@ _ROOTS: dict[str, Any] = {"sim": SimConfig(), "ssac": Config()}
 
 @dataclass(frozen=True)
 class Cell(FlightCell):
-    """One run: a method with its parameters, on one flight, with one offset.
-
-    The `t_d_s` of its `sim` is 0: the offset is added to the recording.
-    """
+    """One run of a method on a flight, to which the offset is added: `t_d_s` of its `sim` is 0."""
 
     t_d_s: float
     estimator: Config

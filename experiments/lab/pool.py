@@ -22,22 +22,14 @@ from typing import Any
 
 from ssac.errors import SsacError
 
-ENDS_WITHIN_S = 5.0
-"""Time after which a process that was asked to end is killed."""
-
-WAIT_FOR_WORKERS_S = 60.0
-"""Time to wait for a scheduler's workers, which may be starting or restarting."""
-
-ANSWERS_WITHIN_S = 10.0
-"""Time without an answer after which the scheduler is taken to be absent."""
-
+ENDS_WITHIN_S = 5.0  # after which a process that was asked to end is killed
+WAIT_FOR_WORKERS_S = 60.0  # for a scheduler's workers, which may be starting or restarting
+ANSWERS_WITHIN_S = 10.0  # without an answer after which the scheduler is taken to be absent
 _LOOK_S = 5.0  # interval of the checks that a scheduler still has workers
 _SPAWN = get_context("spawn")
 
 Running = Future[Any]
-
-Job = Callable[[], Any]
-"""A `functools.partial` of a function; the job and its result can be pickled."""
+Job = Callable[[], Any]  # a `functools.partial` of a function; it and its result can be pickled
 
 
 class DiedError(Exception):
@@ -136,8 +128,7 @@ class Worker:
         return f"ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
 
 
-_IDLE: list[Worker] = []
-"""Idle workers, kept for the next pool since starting one takes seconds."""
+_IDLE: list[Worker] = []  # kept for the next pool, since starting a worker takes seconds
 
 
 def in_new_process(job: Job) -> Any:

@@ -26,17 +26,10 @@ if TYPE_CHECKING:  # slow to import, and `ssac simulate` needs neither
     from matplotlib.figure import Figure
 
 PROVENANCE = ".provenance.json"
-
-MERGED = "ssac merge"
-"""Command in the provenance of joined shards, which holds the provenance of each shard."""
-
+MERGED = "ssac merge"  # command in the provenance of joined shards, which holds those of the shards
 SUMS_FILE = "SHA256SUMS"
-
-DIGITS = 6
-"""Number of significant digits of a table's numbers."""
-
+DIGITS = 6  # significant digits of a table's numbers
 DPI = 220
-
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
 
 

@@ -27,8 +27,7 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.track.observation import Observation
 
-GUARDED = 10
-"""One in this many pairs of flight and offset is also run in full, and must agree."""
+GUARDED = 10  # one in this many pairs of flight and offset is also run in full, and must agree
 
 Frames = tuple[NDArray[np.generic] | None, Array | None]
 """Images (n, height, width) and their times (n,) [s], or neither."""

@@ -40,17 +40,11 @@ from ssac.pipeline.registry import OURS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CELL = "cell"
-"""Column of a cell's number within the whole study."""
+CELL = "cell"  # column of a cell's number within the whole study
+WHOLE = (1, 1)  # the shard (i, n) that holds all cells
+SHARD = "shard"  # key in a provenance's configuration of which part of the study was run
 
-WHOLE = (1, 1)
-"""The shard (i, n) that holds all cells."""
-
-SHARD = "shard"
-"""Key in a provenance's configuration: its value says which part of the study was run."""
-
-Options = Mapping[str, Any]
-"""Arguments of a study's `cells`, by name; an argument that is left out has its default."""
+Options = Mapping[str, Any]  # arguments of a study's `cells`; those left out have their defaults
 
 
 class How(Enum):

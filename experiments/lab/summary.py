@@ -1,7 +1,4 @@
-"""Summaries of a study's runs, and their form in pages: tables, numbers and sentences.
-
-Markdown is aligned so that it reads well as plain text too.
-"""
+"""Summaries of a study's runs, and their form in pages: aligned tables, numbers and sentences."""
 
 import re
 import textwrap
@@ -15,9 +12,7 @@ from experiments.lab.results import Results
 from experiments.lab.study import Made
 from ssac.fit.covariance import NORMAL_95
 
-UNKNOWN = "none"
-"""Text shown in place of an unknown number."""
-
+UNKNOWN = "none"  # shown in place of an unknown number
 _WIDTH = 100
 _NUMBER = re.compile(r"-?\d.*|none|")
 

@@ -87,10 +87,7 @@ class StepRow(RunRow):
 
 
 def step_row(cell: StepCell, cache: Cache) -> StepRow:
-    """Run a step in this process, after a smaller one that loads the kernels.
-
-    All steps share the cache's folder, in which the recordings lie.
-    """
+    """Run a step in this process, after a smaller one that loads the kernels."""
     smallest = cache.folder / "smallest"
     pair = smallest if cell.point == POINTS[0] else cache.folder / "pair"
     if cell.step == SIMULATE:
