@@ -305,7 +305,6 @@ def name_of(cell: PlainCell) -> str:
 
 
 def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataFrame:
-    """Make a table of each cell's columns followed by its row."""
     pairs = zip(cells, rows, strict=True)
     frame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
     unknown = [one.name for one in fields(measure.row_type) if one.default != one.default]  # NaN

@@ -112,7 +112,6 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:
-    """Read the meshes of a file; SimError, with the reason, if the file cannot be used."""
     if not path.is_file():
         raise SimError(f"the drone's mesh {path} does not exist")
     try:

@@ -106,7 +106,6 @@ class Sensor:
         self._noise = None if config.is_ideal_in_time else self._start_noise(time_s, rng)
 
     def _start_noise(self, time_s: float, rng: np.random.Generator) -> NDArray[Any]:
-        """Draw the initial noise state of each pixel."""
         config, shape = self.config, self._reference.shape
         noise = np.zeros(shape, NOISE_STATE_DTYPE)
         noise["time_s"] = time_s
@@ -199,7 +198,6 @@ def events_from_frames(
 
 
 def _unit_range(frame: NDArray[Any]) -> Float32Array:
-    """Return a frame as float32 in [0, 1]."""
     if np.issubdtype(frame.dtype, np.unsignedinteger):
         return np.ascontiguousarray(frame, np.float32) / np.float32(np.iinfo(frame.dtype).max)
     image = np.ascontiguousarray(frame, np.float32)

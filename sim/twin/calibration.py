@@ -161,7 +161,6 @@ def _views(n: int, draw: Callable[[], FloatArray | None], camera: Camera) -> lis
 def _own_views(
     camera: Camera, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
 ) -> list[FloatArray]:
-    """Draw places of the board that one camera sees."""
     T_W_C = np.linalg.inv(camera.T_C_W)
     half = 0.5 * np.array([camera.width, camera.height]) / camera.K[0, 0]
 
@@ -204,7 +203,6 @@ def _shared_views(
 
 
 def _is_seen(camera: Camera, points_W: FloatArray) -> bool:
-    """Whether all corners are in view."""
     pixels = camera.project(points_W)
     last = np.array([camera.width - 1, camera.height - 1]) - _MARGIN_PX
     return bool(((pixels >= _MARGIN_PX) & (pixels <= last)).all())  # NaN fails too
