@@ -638,11 +638,7 @@ class RetryRules:
     # A faint object that turns at up to 700 px/s^2, where no clouds are about: of those of
     # `ssac by-hand --kind faint --base 2` and 3.
     followed: FaintRules = FaintRules(
-        n_neighbours=5,
-        rounds=2,
-        acceleration=6000.0,
-        max_speed_variance=1e7,
-        min_clump_events=10,
+        n_neighbours=5, rounds=2, acceleration=6000.0, max_speed_variance=1e7, min_clump_events=10
     )
     # Share of a recording in which a faint object is followed, below which noise hides it: those
     # recordings with an answer had 0.43 or more, and those without 0.33 or less, but for one.

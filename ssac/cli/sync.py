@@ -1,6 +1,7 @@
 """The command `ssac sync`; slow modules are imported only when it runs, so its help is fast."""
 
 import webbrowser
+from functools import partial
 from importlib import import_module
 from itertools import count, takewhile
 from pathlib import Path
@@ -209,9 +210,12 @@ def sync_command(
     from ssac.pipeline.api import sync
 
     files = _files([cam1, *filter(None, [cam2]), *(more or ())], given.topics)
-    rig = rig or _rig_of_folder(cam1, given.known_extrinsics)
+    if rig is None:
+        if not (cam1 / "cam1.h5").is_file():
+            raise SsacError("Missing option '--rig': give the calibration of the cameras")
+        rig = cam1 / ("rig_extrinsics.yaml" if given.known_extrinsics else "rig.yaml")
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
-    config = config_of(OPTIONS, options)
+    config, log = config_of(OPTIONS, options), partial(typer.echo, err=True)
     outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})
     with warnings_as_lines(), compilation_told():
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
@@ -229,10 +233,10 @@ def sync_command(
             estimate_readout=given.estimate_readout,
             reading=reading,
             known=known if has_more else type(known)(known.distance_m),
-            log=_to_stderr,
+            log=log,
         )
         typer.echo(result.summary())
-        write_outputs(result, outputs, files[1], reading, known, _to_stderr)
+        write_outputs(result, outputs, files[1], reading, known, log)
         if given.open_report:
             webbrowser.open(given.report.resolve().as_uri())
     if result.status != "ok":
@@ -277,12 +281,6 @@ def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
     return recorded
 
 
-def _rig_of_folder(folder: Path, with_extrinsics: bool) -> Path:
-    if not (folder / "cam1.h5").is_file():
-        raise SsacError("Missing option '--rig': give the calibration of the cameras")
-    return folder / ("rig_extrinsics.yaml" if with_extrinsics else "rig.yaml")
-
-
 def _check_search(given: SimpleNamespace) -> None:
     search = given.search
     if search is not None and (given.search_all or given.rate_range is not None):
@@ -323,7 +321,3 @@ def _check_number(given: SimpleNamespace, has_more: bool) -> None:
         )
     if given.rtk is not None and given.trajectory is None and not has_more:
         raise SsacError("--rtk: is for the object's path: give --trajectory too, or leave it out")
-
-
-def _to_stderr(line: str) -> None:
-    typer.echo(line, err=True)

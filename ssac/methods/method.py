@@ -64,10 +64,6 @@ class Method:
     finds_readout: bool = False  # estimates a rolling shutter's, where the rig leaves it uncertain
     of_one_object: bool = False  # where several things move, it gets the events of one of them
 
-    def rig_of(self, rig: "Rig") -> "Rig":
-        """Return the rig, without its extrinsics unless the method needs them."""
-        return rig if self.needs_extrinsics else rig.unposed
-
     @property
     def function(self) -> "Callable[..., Estimate]":
         """The function that `runs` names."""
@@ -127,7 +123,6 @@ def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Fu
     place in lists from 1 on (those without one come last, by name), and other fields of `Method`.
     `known` sums up a variant for known extrinsics, run by the same function and next in lists.
     """
-    del name, summary, place, says
     return lambda function: function
 
 

@@ -178,8 +178,10 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
         found = certain(refine_tangents(settled, views), rules)
         if found.status != Status.OK:  # a poor fit is not reliable even in part
             return found if found.status == Status.POOR_FIT else start
-        strays_s = _strays_s(start, found, views)
-        return widened(start, strays_s**2) if strays_s > 0.0 else _as_seen(start, found, views)
+        strays_s = abs(found.t_d_s - start.t_d_s)
+        if strays_s > views.rules.tangency.max_sigmas * start.t_d_std_s:  # either may err
+            return widened(start, strays_s**2)
+        return _as_seen(start, found, views)
     if positions.alone.repeats or len(search.alternatives_s) == 0:  # motion leaves the offset open
         return start
 
@@ -190,19 +192,11 @@ def _refined(start: Estimate, positions: TwoViews, views: TwoViews) -> Estimate:
     return _as_seen(start, found, views) if found.status == Status.OK else start
 
 
-def _strays_s(start: Estimate, found: Estimate, views: TwoViews) -> float:
-    """Difference [s] of offsets, if the start contradicts the tangents (either may err); else 0."""
-    strays_s = abs(found.t_d_s - start.t_d_s)
-    return strays_s if strays_s > views.rules.tangency.max_sigmas * start.t_d_std_s else 0.0
-
-
 def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
-    """Join the body, and adapt the deviations to the share of the tangents that are seen.
-
-    Where few are, the views may show different parts of the object, whose offset no residual tells
-    from the true one, unless a body confirms it. Then half of the difference from the start, which
-    is the two offsets' deviation from their mean, adds to the offset's.
-    """
+    """Join the body, and adapt the deviations to the share of the tangents that are seen."""
+    # Where few are, the views may show different parts of the object, whose offset no residual
+    # tells from the true one, unless a body confirms it. Then half of the difference from the
+    # start, which is the two offsets' deviation from their mean, adds to the offset's.
     if found.status != Status.OK:
         return found
     rules, n_tangents = views.rules.tangency, 2 * len(tangent_times(views, found.t_d_s))

@@ -55,6 +55,11 @@ class CameraAnswer:
         """Projection centre (3,) in its group's frame; None where it is not known."""
         return None if self.R is None or self.t is None else np.asarray(-self.R.T @ self.t)
 
+    @property
+    def clock(self) -> Clock:
+        """The camera's clock, as the first of its group sees it."""
+        return Clock(self.t_d_s, self.skew_ppm, self.t_ref_s, self.knots_s, self.strays_s)
+
 
 @dataclass(frozen=True, eq=False)
 class PathAnswer:

@@ -25,7 +25,6 @@ Log = Callable[[str], None]
 
 def quiet(line: str) -> None:
     """Log nothing."""
-    del line
 
 
 @dataclass(frozen=True, eq=False)

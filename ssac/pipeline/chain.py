@@ -204,16 +204,11 @@ class Chain:
             start = self._answered(choose_method(method.starts_from), places, config)
             if start.estimate.status == Status.OK:
                 return retries.by_start(start, method, self.config.rules.retry)
-        estimate = self._jumped(answer, config)
-        return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
-
-    def _jumped(self, answer: Answer, config: Config) -> Estimate:
-        """Return the estimate, refused for a clock jump where a large jump explains its refusal."""
         estimate = answer.estimate
-        if estimate.status not in SETTLED_BY["jump"]:
-            return estimate
-        jump = large_jump(self._views(answer.cleans, answer.rig.unposed, config))
-        return estimate if jump is None else jumped(estimate, jump)
+        if estimate.status in SETTLED_BY["jump"]:
+            jump = large_jump(self._views(answer.cleans, answer.rig.unposed, config))
+            estimate = estimate if jump is None else jumped(estimate, jump)
+        return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
 
     def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
         """Answer from the tracks of a faint object; if that fails, keep or explain the refusal."""
@@ -251,7 +246,8 @@ class Chain:
         """Search the offsets asked for; if none were and the default interval fails, search all."""
         rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
         cleans = cleans or (self._given(method, places[0]), self._given(method, places[1]))
-        pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
+        rig = rig if method.needs_extrinsics else rig.unposed
+        pair = _Pair(method, places, cleans, cleans, rig, config)
         check_two(self.name(places[0]), self.name(places[1]), *cleans)
         tries_all = of_tracks and self._searches_all(*cleans)
         answer = self._of_one(pair, tries_all)
@@ -354,10 +350,12 @@ class Chain:
 
     def _by(self, method: Method, pair: _Pair) -> Estimate:
         """Return the estimate of a method for two cameras, from the cache if it is there."""
-        config = pair.config
+        config, rig, pose = pair.config, pair.rig, pair.rig.T_2_1
         if method.input is Input.TRACKS and not method.starts_from and method.runs:
             config = config.searching
-        key = "estimate", method, _ids(pair.seen), _key_of(pair.rig), config
+        stds_px = rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px
+        of_rig = stds_px, None if pose is None else pose.tobytes()  # its cameras are those of all
+        key = "estimate", method, _ids(pair.seen), of_rig, config
         return self._once(key, lambda: self._found(method, pair), pair.seen)
 
     def _found(self, method: Method, pair: _Pair) -> Estimate:
@@ -366,11 +364,10 @@ class Chain:
         if method.input is not Input.TRACKS:
             return method.function(*pair.seen, pair.config)
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
-        views = replace(views, rig=pair.rig.unposed)  # its intrinsics may be less certain
+        # The pair's intrinsics may be less certain, and its pose holds where there is one.
+        views = replace(views, rig=pair.rig, pose_is_known=method.needs_extrinsics)
         if len(self) > 2:  # a network follows a body in all of its cameras together
             views = replace(views, cleans=None)
-        if method.needs_extrinsics:
-            views = views.with_pose(pair.rig)
         if not method.starts_from:
             return method.function(views)
         return method.function(self._by(choose_method(method.starts_from), pair), views)
@@ -509,12 +506,6 @@ class Chain:
         return self.sources[i].has_track or self.sources[j].has_track
 
 
-def _key_of(rig: Rig) -> Hashable:
-    """Return a cache key that tells rigs of the same cameras apart."""
-    pose = None if rig.T_2_1 is None else rig.T_2_1.tobytes()
-    return rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px, pose
-
-
 def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:
     return id(cleans[0]), id(cleans[1])
 
@@ -528,5 +519,4 @@ def one_thread() -> AbstractContextManager[Any]:
 @cache
 def _blas(has_scipy: bool) -> ThreadpoolController:
     """Find the BLAS libraries, which takes milliseconds; again once SciPy has loaded its own."""
-    del has_scipy
     return ThreadpoolController()

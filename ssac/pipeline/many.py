@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
 from ssac.camera import Camera
-from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.files.rigs import Step, save_rig
@@ -235,7 +234,10 @@ def write_two(
     answer: Answer, known: Known, trajectory: Path | None, rig: Path | None, log: Log
 ) -> None:
     """Write the object's path, and the rig with the pose found; log the files, or why not."""
-    estimate, distance_m = answer.estimate, _distance_m(answer)
+    estimate, distance_m = answer.estimate, answer.distance_m
+    T_2_1 = answer.rig.T_2_1 if answer.method.needs_extrinsics and answer.rig.in_metres else None
+    if distance_m is None and T_2_1 is not None:
+        distance_m = float(np.linalg.norm(T_2_1[:3, 3]))
     if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
         for file in filter(None, (trajectory, rig)):
             log(f"not written: {file}, since there is no reliable pose")
@@ -252,14 +254,6 @@ def write_two(
         _save_rig(rig, answer.cameras, [None, step], log)
 
 
-def _distance_m(answer: Answer) -> float | None:
-    """Return the distance [m] of two cameras, as stated or by a rig in metres; else None."""
-    T_2_1 = answer.rig.T_2_1 if answer.method.needs_extrinsics and answer.rig.in_metres else None
-    if answer.distance_m is None and T_2_1 is not None:
-        return float(np.linalg.norm(T_2_1[:3, 3]))
-    return answer.distance_m
-
-
 def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
     """Write the rig with all poses found, each from the camera placed before it in its group."""
     found, steps = result.network.cameras, list[Step | None]()
@@ -270,7 +264,7 @@ def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
         if before:
             one = found[before[-1]]
             T = _transform(other) @ np.linalg.inv(_transform(one))
-            shown_s = [float(_clock(of).cam2_from_cam1(other.t_ref_s)) for of in (one, other)]
+            shown_s = [float(of.clock.cam2_from_cam1(other.t_ref_s)) for of in (one, other)]
             in_metres = result.scale_is_known and groups[k] == 1
             step = Step(k - before[-1], T, shown_s[1] - shown_s[0], in_metres)
         steps.append(step)
@@ -308,11 +302,6 @@ def _transform(of: CameraAnswer | Estimate) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = of.R, of.t
     return T
-
-
-def _clock(camera: CameraAnswer) -> Clock:
-    """Give a camera's clock, as the first of its group sees it."""
-    return Clock(camera.t_d_s, camera.skew_ppm, camera.t_ref_s, camera.knots_s, camera.strays_s)
 
 
 def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:

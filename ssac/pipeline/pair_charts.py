@@ -19,27 +19,16 @@ from ssac.arrays import Array
 from ssac.camera import Camera
 from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.epipolar import robust_deviation
+from ssac.pipeline import plots
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.plots import (
-    BLUE,
-    RED,
-    YELLOW,
-    Fit,
-    best_s,
-    draw_costs,
-    draw_minimum,
-    fit_of,
-    has_costs,
-    has_fit,
-)
 from ssac.pipeline.streams import Grid, Seen, densities, grid_of
 from ssac.track.motion import ObjectMotion
 
 _INK, _FAINT = "#1d232b", "#c9ccd1"
 _ON_PAGE = {  # colours that replace one on a light and a dark background
-    BLUE: ("#2464b0", "#5fa8ee"),
-    YELLOW: ("#b0620f", "#f0a63c"),
-    RED: ("#c2185b", "#ff5c93"),
+    plots.BLUE: ("#2464b0", "#5fa8ee"),
+    plots.YELLOW: ("#b0620f", "#f0a63c"),
+    plots.RED: ("#c2185b", "#ff5c93"),
     _INK: (_INK, "#e6e8eb"),
     _FAINT: (_FAINT, "#454c56"),
 }
@@ -69,7 +58,7 @@ class Chart:
 
 def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
     """Draw the charts that an answer allows, by topic, with at most `most` dots in each."""
-    fit = fit_of(answer)
+    fit = plots.fit_of(answer)
     return {
         "cost": _cost_charts(answer, fit),
         "residuals": [] if fit is None else _residual_charts(fit, answer, most),
@@ -114,10 +103,10 @@ def _dots(axes: Axes, points: Array, color: str, size: float, name: str = "") ->
     axes.plot(*places.T, color=color, lw=size, solid_capstyle="round", label=name or "_")
 
 
-def _cost_charts(answer: Answer, fit: Fit | None) -> list[Chart]:
+def _cost_charts(answer: Answer, fit: plots.Fit | None) -> list[Chart]:
     """Draw the cost over the offsets that were searched, and near the one that was found."""
-    charts, t_d_s, others_s = list[Chart](), best_s(answer), answer.estimate.alternatives_s
-    if has_costs(answer):
+    charts, t_d_s, others_s = list[Chart](), plots.best_s(answer), answer.estimate.alternatives_s
+    if plots.has_costs(answer):
         words = (
             "How well the views fit at each offset that was tried: one deep, narrow minimum (of a"
             " correlation: one high peak) means one answer."
@@ -127,18 +116,18 @@ def _cost_charts(answer: Answer, fit: Fit | None) -> list[Chart]:
         if len(others_s):
             words += f" Others fit nearly as well: {', '.join(f'{s:.3f}' for s in others_s)} s."
         with _chart(charts, "Cost over the search interval", words) as axes:
-            draw_costs(axes, answer)
-    if has_fit(answer):
+            plots.draw_costs(axes, answer)
+    if plots.has_fit(answer):
         words = (
             f"The cost of the {'positions' if fit is None else fit.what} about the offset found, by"
             " the final geometry: how wide it is says how sharply the motion tells the offset."
         )
         with _chart(charts, "Near the minimum", words) as axes:
-            draw_minimum(axes, answer, fit)
+            plots.draw_minimum(axes, answer, fit)
     return charts
 
 
-def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
+def _residual_charts(fit: plots.Fit, answer: Answer, most: int) -> list[Chart]:
     """Draw the residuals of the pairs over time, as a histogram, and over both images."""
     off_px, charts = fit.distances_px, list[Chart]()
     sigma_px = max(robust_deviation(off_px), 1e-12)
@@ -156,7 +145,7 @@ def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
         words += f" The answer's other pairs, about {of_body} of a body's point, are left out."
     with _chart(charts, "Residuals over time", words) as axes:
         since_s = fit.times_s - answer.paired.motions[0].span_s[0]
-        _dots(axes, np.column_stack([since_s, off_px])[thin], BLUE, 3.0)
+        _dots(axes, np.column_stack([since_s, off_px])[thin], plots.BLUE, 3.0)
         axes.set(xlabel="time since the start of camera 1 [s]", ylabel="distance [px]")
         axes.set_ylim(-reach_px, reach_px)
     words = (
@@ -165,15 +154,15 @@ def _residual_charts(fit: Fit, answer: Answer, most: int) -> list[Chart]:
     )
     with _chart(charts, "Residuals as a histogram", words) as axes:
         edges = np.linspace(-reach_px, reach_px, 41, dtype=np.float64)
-        axes.hist(off_px, edges.tolist(), color=BLUE, alpha=0.5, label="pairs")
+        axes.hist(off_px, edges.tolist(), color=plots.BLUE, alpha=0.5, label="pairs")
         bell = np.exp(-0.5 * (edges / sigma_px) ** 2) / (np.sqrt(2.0 * np.pi) * sigma_px)
         share = len(off_px) * (edges[1] - edges[0])
-        axes.plot(edges, share * bell, color=RED, label="normal distribution")
+        axes.plot(edges, share * bell, color=plots.RED, label="normal distribution")
         axes.set(xlabel="distance [px]", ylabel="pairs", xlim=(-reach_px, reach_px))
     classes = (
-        (BLUE, 3.0, 0.0, 1.0, "below 1 sigma"),
-        (YELLOW, 3.0, 1.0, 3.0, "1 to 3"),
-        (RED, 5.0, 3.0, np.inf, "above 3"),
+        (plots.BLUE, 3.0, 0.0, 1.0, "below 1 sigma"),
+        (plots.YELLOW, 3.0, 1.0, 3.0, "1 to 3"),
+        (plots.RED, 5.0, 3.0, np.inf, "above 3"),
     )
     shares = np.abs(off_px[thin]) / sigma_px
     words = "Large ones in one part of the image alone speak of a wrong lens or intrinsics."
@@ -211,9 +200,9 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
             extent = *axes.get_xlim(), *axes.get_ylim()
             axes.imshow(densities(seen, grid), extent=extent, interpolation="none")
             for which, color, label in (
-                (track.valid, BLUE, "valid"),
-                (few, RED, name),
-                (edge, YELLOW, "at the border, or a gap"),
+                (track.valid, plots.BLUE, "valid"),
+                (few, plots.RED, name),
+                (edge, plots.YELLOW, "at the border, or a gap"),
             ):
                 if which.any():
                     _dots(axes, track.positions_px[which], color, 3.0, label)
@@ -272,8 +261,8 @@ def _clock_charts(answer: Answer) -> list[Chart]:
     )
     with _chart(charts, "Drift of camera 2's clock", words) as axes:
         ends = times_s - start_s, more_ms - off_ms, more_ms + off_ms
-        axes.fill_between(*ends, color=RED, alpha=0.2, lw=0.0, label="95 % interval")
-        axes.plot(times_s - start_s, more_ms, color=RED, label="drift found")
+        axes.fill_between(*ends, color=plots.RED, alpha=0.2, lw=0.0, label="95 % interval")
+        axes.plot(times_s - start_s, more_ms, color=plots.RED, label="drift found")
         if len(knots_s):
             knots_ms = 1e3 * estimate.clock.added_s(knots_s)
             axes.plot(knots_s - start_s, knots_ms, "o", color=_INK, ms=4.0, label="knots")

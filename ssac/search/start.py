@@ -135,9 +135,7 @@ class Start:
         )
 
 
-def start_of(
-    views: TwoViews, rates: Interval | None = None, progress: Progress | None = None
-) -> Start:
+def start_of(views: TwoViews, rates: Interval | None, progress: Progress) -> Start:
     """Search all offsets, and camera 2's clock rates in a range, for the start of a method."""
     rules = views.rules.all_offsets
     has_track = any(isinstance(motion, PointMotion) for motion in views.motions)

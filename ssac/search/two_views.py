@@ -87,10 +87,6 @@ class TwoViews:
             return self
         return replace(self, clock=replace(clock, t_d_s=0.0))
 
-    def with_pose(self, rig: Rig) -> "TwoViews":
-        """Return the same views with a rig whose extrinsics hold."""
-        return replace(self, rig=rig, pose_is_known=True)
-
     def on_clock_2(self, times_s: Array, t_d_s: Array | float) -> Array:
         """Return what camera 2's clock shows [s] at times of camera 1's, at the offset `t_d_s`."""
         shown_s = np.asarray(times_s + t_d_s)
@@ -189,15 +185,10 @@ class TwoViews:
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
 
 
-def views_of(
-    one: Clean, other: Clean, rig: Rig, config: Config, pose_is_known: bool = False
-) -> TwoViews:
-    """Prepare the views of two cameras' denoised recordings for sampling: the paper's Sec. IV-A.
-
-    The rig's extrinsics are used only if `pose_is_known`: then only the offset is in question.
-    """
+def views_of(one: Clean, other: Clean, rig: Rig, config: Config) -> TwoViews:
+    """Prepare the views of two cameras' denoised recordings for sampling: the paper's Sec. IV-A."""
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
-    return TwoViews(*motions, rig, config, pose_is_known, cleans=(one, other))
+    return TwoViews(*motions, rig, config, cleans=(one, other))
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,8 +56,7 @@ class Observation:
         return replace(self, events=events, frame_times_s=times_s, track=track)
 
     def read(self, frames: str = "") -> "Observation":
-        """Return the observation itself: it is in memory, so no file is read."""
-        del frames  # they are in the observation already, if there are any
+        """Return the observation itself: it is in memory, with its frames if there are any."""
         return self
 
 
