@@ -44,10 +44,7 @@ def anything() -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
 
 
 def pieces(n: int, least: float) -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
-    """A path of n pieces of 30 coefficients, each with a parameter of its own.
-
-    The ends of the path have but few sightings, so that `least` holds the path everywhere.
-    """
+    """A path of n pieces, each with its own parameter; `least` holds the ends, which few saw."""
     rng, per_piece = np.random.default_rng(1), 30
     m = per_piece * n
     first = np.repeat(np.arange(m - 3), 2)
@@ -65,7 +62,6 @@ def pieces(n: int, least: float) -> tuple[Normal, Linear, np.ndarray, np.ndarray
 
 @pytest.mark.parametrize("made", [anything, lambda: pieces(12, 1e-3)], ids=["anything", "pieces"])
 def test_the_solution_and_its_covariance_are_those_of_the_dense_matrix(made) -> None:
-    """Steps, and covariances of cameras and of points, agree to rounding."""
     normal, linear, own, residual = made()
     matrix, right = dense(normal, linear, own)
     m, b = len(normal.right_path), len(normal.right_border)
@@ -147,13 +143,18 @@ def data() -> tuple[np.ndarray, np.ndarray, Spline]:
     return times_s, knots_s, Spline(knots_s, rng.normal(size=(len(knots_s) - ORDER, 3)))
 
 
-def test_curves_and_derivatives_are_those_of_scipy() -> None:
+def test_curves_derivatives_and_the_integral_of_the_jerk_are_those_of_scipy() -> None:
     _, knots_s, spline = data()
+    curve = BSpline(knots_s, spline.coefficients, 3)
     times_s = np.linspace(knots_s[0], knots_s[-1] - 1e-9, 300)
     for derivative in range(4):
-        expected = BSpline(knots_s, spline.coefficients, 3)(times_s, nu=derivative)
+        expected = curve(times_s, nu=derivative)
         scale = np.abs(expected).max()  # of rounding
         assert spline.at(times_s, derivative) == pytest.approx(expected, abs=1e-12 * scale)
+    steps_s, inner_s = np.diff(np.unique(knots_s)), np.unique(knots_s)[:-1]
+    total = steps_s @ np.sum(curve(inner_s, nu=3) ** 2, axis=1)  # it is constant between knots
+    squares = products(*jerks(knots_s), spline.coefficients) ** 2
+    assert np.sum(squares) == pytest.approx(total, rel=1e-9)  # rounding
 
 
 def test_knots_lie_where_data_are_alone() -> None:
@@ -163,12 +164,3 @@ def test_knots_lie_where_data_are_alone() -> None:
     assert (inner[0], inner[-1]) == (times_s.min(), times_s.max())
     gap_s = times_s[times_s > 10.0].min() - times_s[times_s < 10.0].max()
     assert np.sort(np.diff(inner))[-2:] == pytest.approx([0.3, gap_s], abs=0.02)
-
-
-def test_jerks_sum_to_the_integral() -> None:
-    _, knots_s, spline = data()
-    total = np.sum(products(*jerks(knots_s), spline.coefficients) ** 2)
-    times_s = np.linspace(knots_s[0], knots_s[-1], 200_001)
-    dense = np.sum(spline.at(times_s, 3) ** 2, axis=1)
-    # The jerk is constant from knot to knot, and the mean misses each of its steps by a sample.
-    assert total == pytest.approx(np.mean(dense) * np.ptp(times_s), rel=5e-3)

@@ -1,6 +1,5 @@
 """Paths: written and read, aligned, compared, and put into metres by positions on the ground."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -306,7 +305,7 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
     clock = Clock(*(told["in_time"][key] for key in ("shift_s", "rate_ppm", "t_ref_s")))
     # 5 cm a sample at some 2 m/s are 25 ms, for 400 samples.
     np.testing.assert_allclose(clock.cam2_from_cam1(50.0), CLOCK.cam2_from_cam1(50.0), atol=0.005)
-    assert json.dumps(told["as_shape"])
+    assert told["as_shape"]["n_samples"]
 
 
 @pytest.mark.parametrize(
