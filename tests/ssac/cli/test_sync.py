@@ -38,15 +38,11 @@ def answered(folder, *args):
     return result, {**read_json(folder / "out.json"), "seconds": 0}
 
 
-@pytest.fixture(scope="module")
-def joint_run(recorded):
-    synced = recorded / "synced.h5"
+def test_the_offset_is_found_told_and_taken_off_the_synced_events(recorded, tmp_path):
+    """Results are on stdout, progress on stderr."""
+    synced = tmp_path / "synced.h5"
     options = ("--rig", recorded / "rig.yaml", "--write-synced", synced)
-    return *answered(recorded.folder, *recorded.pair, *options), synced
-
-
-def test_the_offset_is_found_results_are_on_stdout_and_progress_on_stderr(joint_run):
-    result, found, synced = joint_run
+    result, found = answered(tmp_path, *recorded.pair, *options)
     assert "the outline does not close" in found["note"]  # the object is a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
@@ -58,10 +54,6 @@ def test_the_offset_is_found_results_are_on_stdout_and_progress_on_stderr(joint_
         assert part not in result.stdout
         assert any(line.startswith(part) and " s  " in line for line in result.stderr.splitlines())
     assert str(synced) in result.stderr
-
-
-def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorded):
-    _, found, synced = joint_run
     before, after = load_events(recorded / "cam2.h5").events, load_events(synced).events
     clock = Clock(found["t_d_s"], found["skew_ppm"], found["t_ref_s"])
     expected_us = 1e6 * clock.cam1_from_cam2(before["t"] / 1e6)
