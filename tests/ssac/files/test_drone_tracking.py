@@ -9,13 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.studies.real import PAIRS, STRAYS, TRIPLES, real_figure
-from experiments.worlds.tracks import (
-    ROUGHNESSES_PPM,
-    STRAY_COLUMNS,
-    data_sets,
-    load_clocks,
-    pair_tables,
-)
+from experiments.worlds import tracks
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -83,7 +77,7 @@ def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
 
 def run_pairs(data, work, numbers):
     """Return the tables of all pairs of some data sets."""
-    return pair_tables(data_sets(data, work, lambda line: None, numbers))
+    return tracks.pair_tables(tracks.data_sets(data, work, lambda line: None, numbers))
 
 
 def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
@@ -95,7 +89,7 @@ def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
     assert 0.0 <= row["readout_1_ms"] < 4.0 * row["readout_1_std_ms"]  # the truth is 0
     assert row["t_d_std_ms"] > row["global_std_ms"]  # unknown readouts leave less known
     assert [len(tables[name]) for name in (TRIPLES, STRAYS)] == [0, 0]
-    strays = pd.DataFrame([(2, 0, 1, 3.0, 1.0, 0.5)], columns=STRAY_COLUMNS)
+    strays = pd.DataFrame([(2, 0, 1, 3.0, 1.0, 0.5)], columns=tracks.STRAY_COLUMNS)
     *small, above = real_figure(SimpleNamespace(table={**tables, STRAYS: strays}.get)).axes
     assert [label.get_text() for label in above.get_xticklabels()] == ["2: 0-1"]
     assert [axes.get_title() for axes in small if axes.axison] == ["2: 0-1"]
@@ -110,10 +104,10 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         answer = SimpleNamespace(estimate=estimate, guess=None, start=None, config=config)
         return SimpleNamespace(answer=answer)
 
-    monkeypatch.setattr("experiments.worlds.tracks.sync", refused)
-    monkeypatch.setattr("experiments.worlds.tracks.VARIABLE_RATES", {(2, 1)})
+    monkeypatch.setattr(tracks, "sync", refused)
+    monkeypatch.setattr(tracks, "VARIABLE_RATES", {(2, 1)})
     (row,) = run_pairs(data, tmp_path, (2,))[PAIRS].to_dict("records")
-    assert tried == [("pieces", one) for one in sorted(ROUGHNESSES_PPM)]
+    assert tried == [("pieces", one) for one in sorted(tracks.ROUGHNESSES_PPM)]
     assert row["status"] == "clock_jump"
 
 
@@ -150,7 +144,7 @@ def test_the_closure_of_true_clocks_is_nothing():
 def test_published_clocks_are_read(tmp_path):
     alpha = "| --- | --- |\n|0 | 1.0 | 0.4999 |\n|1 | 2.0 | 1.0 |\n"
     (tmp_path / "README.md").write_text(alpha + "|0 | 0 | 0.5 |\n|1 | -1.0 | 0 |\n")
-    truth = load_clocks(tmp_path)
+    truth = tracks.load_clocks(tmp_path)
     assert truth.alpha[0, 1] == 0.4999
     # The finer of both directions: frame i = 2 j - 1; 100 s are frame 6000, which is j = 3000.5.
     assert truth.t_d_s(0, 1, (60.0, 30.0), 100.0) == pytest.approx(0.5 / 30.0)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.camera import Camera, same_camera
 from ssac.errors import SsacError
-from ssac.files.rigs import Step, check_resolution, load_rig, save_rig
+from ssac.files.rigs import Step, load_rig, save_rig
 from tests.ssac.tracks import rig_document
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
@@ -18,8 +18,6 @@ R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
 T = np.array([4.0, 0.5, 3.0])
 T_2_1 = np.eye(4)
 T_2_1[:3, :3], T_2_1[:3, 3] = R, T
-
-
 COEFFS = (-0.3, 0.1, 0.001, -0.0005)
 FIVE = [*COEFFS, 0.02]
 
@@ -57,21 +55,25 @@ def test_deviations_of_the_intrinsics_and_the_readout(tmp_path):
     np.testing.assert_allclose(rig.cam2.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
 
 
-def test_a_rig_that_was_written_is_read_as_it_was(tmp_path):
+def test_any_two_cameras_of_a_rig_that_was_written_are_read_as_they_were(tmp_path):
     cameras = (
         Camera(K, 346, 260),
         Camera(K, 640, 480, "radtan", COEFFS, (2.0, 2.5, 1e-7, 0.0)),
         Camera(K, 346, 260, "radtan", tuple(FIVE), readout_s=0.02),
         Camera(K, 346, 260, "equidistant", (0.1, 0.0, 1 / 3, 0.0)),
     )
+    # A rotation about another axis, so that the order of the two steps makes a difference.
+    T_4_2 = np.eye(4)
+    T_4_2[:3, :3], T_4_2[:3, 3] = cv2.Rodrigues(np.array([0.7, 0.1, -0.3]))[0], (-1.0, 2.0, 0.5)
     first = Step(1, T_2_1, 1 / 3, in_metres=False)
-    second = Step(2, np.linalg.inv(T_2_1), -2.0, in_metres=True)  # past a camera without a pose
+    second = Step(2, T_4_2, -2.0, in_metres=True)  # past a camera without a pose
     path = tmp_path / "rig.yaml"
     save_rig(path, cameras, (None, first, None, second), "made of nothing")
-    both = second.T @ first.T, False
+    T_4_1 = T_4_2 @ T_2_1
     for (i, j), (T, in_metres) in {
-        (1, 2): (first.T, False), (2, 4): (second.T, True), (1, 4): both,
-        (1, 3): (None, True), (3, 4): (None, True),
+        (1, 2): (T_2_1, False), (2, 4): (T_4_2, True), (1, 4): (T_4_1, False),
+        (4, 1): (np.linalg.inv(T_4_1), False),
+        **dict.fromkeys(((1, 3), (3, 4), (4, 4)), (None, True)),
     }.items():  # fmt: skip
         rig = load_rig(path, (i, j))
         for found, camera in ((rig.cam1, cameras[i - 1]), (rig.cam2, cameras[j - 1])):
@@ -82,6 +84,8 @@ def test_a_rig_that_was_written_is_read_as_it_was(tmp_path):
     entries = [*yaml.safe_load(path.read_text()).values()]
     assert entries[1]["timeshift_cn_cnm1"] == 1 / 3
     assert entries[3]["timeshift_cn_cnm2"] == -2.0
+    with pytest.raises(SsacError, match="no cam4 for camera 5, only cam0, cam1, cam2, cam3"):
+        load_rig(path, (1, 5))
 
 
 def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
@@ -220,29 +224,3 @@ def test_unusable_opencv_files_are_refused(tmp_path, old, new, message):
     path.write_text(text[:180])
     with pytest.raises(SsacError, match=r"stereo\.yml: not a readable YAML file"):
         load_rig(path)
-
-
-def test_the_resolution_must_be_the_recordings():
-    camera = Camera(K, 346, 260)
-    check_resolution(camera, 346, 260, "rig.yaml, cam0", "cam1.h5")
-    check_resolution(camera, None, None, "rig.yaml, cam0", "cam1.h5")
-    for size in ((640, 480), (346, 480)):
-        with pytest.raises(SsacError, match=r"cam0 is calibrated at 346 x 260 px, but cam1\.h5"):
-            check_resolution(camera, *size, "rig.yaml, cam0", "cam1.h5")
-
-
-def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
-    document, T_3_2 = _kalibr(), np.eye(4)
-    # A rotation about another axis, so that the order of the two steps makes a difference.
-    T_3_2[:3, :3], T_3_2[:3, 3] = cv2.Rodrigues(np.array([0.7, 0.1, -0.3]))[0], (-1.0, 2.0, 0.5)
-    other = {"intrinsics": [300.0, 301.0, 173.0, 130.0], "T_cn_cnm1": T_3_2.tolist()}
-    document["cam2"] = document["cam1"] | other
-    path = _write(tmp_path / "rig.yaml", document)
-    rig = load_rig(path, (1, 3))
-    assert rig.cam2.K[0, 0] == 300.0
-    np.testing.assert_allclose(rig.T_2_1, T_3_2 @ T_2_1, atol=1e-12)  # step by step
-    np.testing.assert_allclose(load_rig(path, (2, 3)).T_2_1, T_3_2, atol=1e-12)
-    np.testing.assert_allclose(load_rig(path, (3, 1)).T_2_1 @ rig.T_2_1, np.eye(4), atol=1e-9)
-    assert load_rig(path, (3, 3)).cam1.K[0, 0] == 300.0
-    with pytest.raises(SsacError, match="there is no cam3 for camera 4, only cam0, cam1, cam2"):
-        load_rig(path, (1, 4))

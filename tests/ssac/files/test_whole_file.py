@@ -12,31 +12,22 @@ import pytest
 
 from sim.storage import partial_path
 from ssac.errors import WriteError
-from ssac.files import whole_file as module
-from ssac.files.whole_file import (
-    LEFT_OVER_S,
-    check_folder,
-    check_writable,
-    is_left_over,
-    remove_left_over,
-    temporary_path,
-    whole_file,
-)
+from ssac.files import whole_file
 from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
 
 
 def test_no_name_is_given_twice_and_each_tells_its_maker(tmp_path):
-    paths = [temporary_path(tmp_path / "a.csv") for _ in range(100)]
+    paths = [whole_file.temporary_path(tmp_path / "a.csv") for _ in range(100)]
     # The simulator's names say the same, by code of its own: neither package imports the other.
     paths += [partial_path(tmp_path, "recording") for _ in range(2)]
     assert len(set(paths)) == 102
-    assert all(f".{module.host()}.{os.getpid()}." in path.name for path in paths)
+    assert all(f".{whole_file.host()}.{os.getpid()}." in path.name for path in paths)
     assert {path.parent for path in paths} == {tmp_path}
 
 
 @pytest.mark.parametrize("name", ["a" * 250 + ".csv", "\N{SNOWMAN}" * 80])  # 240 bytes
 def test_long_names_have_temporary_ones_too(tmp_path, name):
-    with whole_file(tmp_path / name) as path:
+    with whole_file.whole_file(tmp_path / name) as path:
         path.write_text("whole")
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
@@ -46,7 +37,7 @@ def test_a_process_that_nobody_asked_how_it_ended_has_ended(tmp_path):
     process = subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE)
     process.stdout.read()  # until it ends; its process id stays until we wait for it
     path = made_by(tmp_path / "a", process.pid)
-    while not is_left_over(path):
+    while not whole_file.is_left_over(path):
         time.sleep(0.01)  # its pipes close just before it ends
     process.wait()
 
@@ -55,11 +46,11 @@ def test_on_another_host_time_decides(tmp_path):
     folder = made_by(tmp_path / "recording", ended_process(), ELSEWHERE)
     folder.mkdir()
     (folder / "cam1.h5").touch()
-    assert not is_left_over(folder)
-    let_lie(folder, LEFT_OVER_S + 60.0)
-    assert is_left_over(folder)
+    assert not whole_file.is_left_over(folder)
+    let_lie(folder, whole_file.LEFT_OVER_S + 60.0)
+    assert whole_file.is_left_over(folder)
     (folder / "cam1.h5").write_text("still at it")  # the folder's own time stays as it is
-    assert not is_left_over(folder)
+    assert not whole_file.is_left_over(folder)
 
 
 def test_only_what_is_left_over_is_removed(tmp_path):
@@ -69,41 +60,41 @@ def test_only_what_is_left_over_is_removed(tmp_path):
     (folder / "cam1.h5").touch()
     file = made_by(tmp_path / "run.json", ended)
     file.touch()
-    kept = {"mine": temporary_path(tmp_path / "recording")}
+    kept = {"mine": whole_file.temporary_path(tmp_path / "recording")}
     kept["host"] = made_by(tmp_path / "recording", ended, ELSEWHERE)
     kept["name"] = tmp_path / f".recording.{ended}.partial"
     kept["whole"] = tmp_path / "recording"
     for path in kept.values():
         path.mkdir()
-    let_lie(kept["mine"], 10 * LEFT_OVER_S)  # on this host the process alone decides
-    remove_left_over(tmp_path, "recording")
+    let_lie(kept["mine"], 10 * whole_file.LEFT_OVER_S)  # on this host the process alone decides
+    whole_file.remove_left_over(tmp_path, "recording")
     assert set(tmp_path.iterdir()) == {*kept.values(), file}
-    remove_left_over(tmp_path)
+    whole_file.remove_left_over(tmp_path)
     assert set(tmp_path.iterdir()) == set(kept.values())
-    remove_left_over(tmp_path / "none")
+    whole_file.remove_left_over(tmp_path / "none")
 
 
 # --- What cannot be written ---
 
 
 def test_what_cannot_be_a_file_is_refused_before_any_work(tmp_path, monkeypatch):
-    check_writable(tmp_path / "new" / "deeper" / "out.csv")
+    whole_file.check_writable(tmp_path / "new" / "deeper" / "out.csv")
     assert list(tmp_path.iterdir()) == []  # a folder that is lacking will be made
     (tmp_path / "file").touch()
     with pytest.raises(WriteError, match=f"{tmp_path}: is a folder: name a file to write"):
-        check_writable(tmp_path)
+        whole_file.check_writable(tmp_path)
     with pytest.raises(WriteError, match="/file is a file: name a folder"):
-        check_writable(tmp_path / "file" / "out.csv")
-    monkeypatch.setattr(module.os, "access", lambda *_: False)  # tests may run as root
+        whole_file.check_writable(tmp_path / "file" / "out.csv")
+    monkeypatch.setattr(whole_file.os, "access", lambda *_: False)  # tests may run as root
     with pytest.raises(WriteError, match="cannot be written to: name another place"):
-        check_writable(tmp_path / "out.csv")
+        whole_file.check_writable(tmp_path / "out.csv")
 
 
 def test_a_disk_without_room_is_refused_before_any_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: SimpleNamespace(free=5_000_000))
-    check_folder(tmp_path, 5_000_000)
+    monkeypatch.setattr(whole_file.shutil, "disk_usage", lambda _: SimpleNamespace(free=5_000_000))
+    whole_file.check_folder(tmp_path, 5_000_000)
     with pytest.raises(WriteError, match="5000000 bytes are free on this disk, and 5000001 are"):
-        check_folder(tmp_path, 5_000_001)
+        whole_file.check_folder(tmp_path, 5_000_001)
 
 
 @pytest.mark.parametrize("has_name", [True, False])
@@ -112,7 +103,7 @@ def test_a_disk_that_runs_full_is_one_line_and_leaves_what_was_there(tmp_path, h
     path.write_text("before")
 
     def write():
-        with whole_file(path) as temporary:
+        with whole_file.whole_file(path) as temporary:
             temporary.write_text("half of it")
             name = str(temporary) if has_name else None
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), name)
@@ -124,5 +115,8 @@ def test_a_disk_that_runs_full_is_one_line_and_leaves_what_was_there(tmp_path, h
 
 
 def test_an_error_about_another_file_stays_what_it_is(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"in\.csv"), whole_file(tmp_path / "out.csv"):
+    with (
+        pytest.raises(FileNotFoundError, match=r"in\.csv"),
+        whole_file.whole_file(tmp_path / "out.csv"),
+    ):
         (tmp_path / "in.csv").read_text()
