@@ -1,8 +1,6 @@
 """The files that `ssac sync` reads and writes for three cameras, and the path from two."""
 
 import re
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,48 +12,40 @@ from ssac.network.tum import read_path
 from ssac.pipeline.many import short_names
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
-from tests.ssac.network.flights import DURATION_S, Flight, make_flight
+from tests.ssac.network.flights import DURATION_S, make_flight
 from tests.ssac.tracks import rig_document
 
 
-@dataclass(frozen=True)
-class Files:
-    """Three tracks of one flight and their rig."""
-
-    folder: Path
-    flight: Flight
-
-    def cameras(self, n: int) -> list[Path]:
-        return [self.folder / f"cam{k + 1}.csv" for k in range(n)]
-
-    def rms_off_m(self, file: Path) -> float:
-        """Return the rms distance [m] of a written path from the true one."""
-        path = read_path(file)
-        off_m = np.linalg.norm(path.positions_m - self.flight.path(path.times_s), axis=1)
-        return float(np.sqrt(np.mean(off_m**2)))
+@pytest.fixture(scope="module")
+def flight():
+    return make_flight(3)
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    files = Files(tmp_path_factory.mktemp("many"), make_flight(3))
+def files(flight, tmp_path_factory):
+    """Three tracks of one flight, and their rig."""
+    folder = tmp_path_factory.mktemp("many")
     size = {"intrinsics": [900.0, 900.0, 480.0, 300.0], "resolution": [960, 600]}
     entry = rig_document(**size, intrinsics_std=[0.0] * 4)["cam0"]
-    for file, seen in zip(files.cameras(3), files.flight.seen, strict=True):
+    files = [folder / name for name in ("cam1.csv", "cam2.csv", "cam3.csv", "rig.yaml")]
+    for file, seen in zip(files, flight.seen, strict=False):
         save_track(file, PointTrack(seen.times_s, seen.points_px))
-    rig = {f"cam{k}": entry for k in range(3)}
-    (files.folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    files[3].write_text(yaml.safe_dump({f"cam{k}": entry for k in range(3)}))
     return files
 
 
-def sync(files, cameras, *more):
-    return run("sync", *cameras, "--rig", files.folder / "rig.yaml", *more)
+def rms_off_m(flight, file):
+    """Return the rms distance [m] of a written path from the true one."""
+    path = read_path(file)
+    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
+    return float(np.sqrt(np.mean(off_m**2)))
 
 
-def test_three_cameras(files, tmp_path):
-    flight, out, path_file = files.flight, tmp_path / "out.json", tmp_path / "path.tum"
+def test_three_cameras(flight, files, tmp_path):
+    out, path_file, rig_file = (tmp_path / name for name in ("out.json", "path.tum", "rig.yaml"))
     options = ("--json", out, "--trajectory", path_file, "--distance", flight.distance_m)
-    rig_file = tmp_path / "rig.yaml"
-    code, text, err = sync(files, files.cameras(3), *options, "--write-rig", rig_file)
+    *cameras, rig = files
+    code, text, err = run("sync", *cameras, "--rig", rig, *options, "--write-rig", rig_file)
     assert code == 0, err
     assert "cam3" in text
     found = read_json(out)
@@ -76,7 +66,7 @@ def test_three_cameras(files, tmp_path):
     # Offsets hold at different times, between which skews of some 100 ppm change them.
     assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
     assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
-    assert files.rms_off_m(path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
+    assert rms_off_m(flight, path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
     assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see most of it
 
 
@@ -95,7 +85,8 @@ def test_files_of_one_name_are_told_apart_by_their_folders(names, short):
 
 
 def test_options_reach_every_pair(files):
-    code, _, err = sync(files, files.cameras(3), "--search", -1, 1)
+    *cameras, rig = files
+    code, _, err = run("sync", *cameras, "--rig", rig, "--search", -1, 1)
     assert code == 1, err
     assert err.count("no_common_time") == 2  # the clocks are 26 and 30 s apart
     assert "offsets" not in err
@@ -117,7 +108,7 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     rig = tmp_path / "found.yaml"
     outputs = ("--trajectory", path, "--json", out, "--write-rig", rig)
     options = ("--rtk", rtk, *outputs, "--search", -1, 1)  # strangers are 1000 s apart
-    code, _, err = sync(files, [*files.cameras(1), *strangers], *options)
+    code, _, err = run("sync", files[0], *strangers, "--rig", files[-1], *options)
     assert code == 1, err
     for output in (path, rig):
         assert f"not written: {output}" in err
@@ -125,20 +116,22 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     assert read_json(out)["status"] != "ok"
 
 
-def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_in(files, tmp_path):
+def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_in(
+    flight, files, tmp_path
+):
     out, late = tmp_path / "path.csv", save_another(tmp_path / "late.csv", 1000.0)
-    options = ("--trajectory", out, "--distance", files.flight.distance_m)
-    code, text, err = sync(files, files.cameras(2), *options)
+    one, other, _, of_three = files
+    options = ("--trajectory", out, "--distance", flight.distance_m)
+    code, text, err = run("sync", one, other, "--rig", of_three, *options)
     assert code == 0, err
     assert "time offset" in text
     assert "which hold from" in err
-    assert files.rms_off_m(out) < 0.15  # more than with three cameras, as one view is missing
+    assert rms_off_m(flight, out) < 0.15  # more than with three cameras, as one view is missing
     path = read_path(out)
     assert path.deviations_m.shape == path.positions_m.shape
-    one, other = files.cameras(2)
     found, rig = tmp_path / "out.json", tmp_path / "rig.yaml"
     outputs = ("--json", found, "--write-rig", rig, "--distance", 7)  # one camera gets no place
-    code, text, err = sync(files, [one, late, other], *outputs)
+    code, text, err = run("sync", one, late, other, "--rig", of_three, *outputs)
     assert code == 1, err
     assert re.search(r"late +no_match", text)
     assert "placed; no pose with the others: camera 2 (no_match)\n" in err
@@ -152,20 +145,20 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
 
 
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
-def test_the_path_of_known_extrinsics_has_their_scale_if_they_have_one(files, tmp_path, unit):
-    R, t_m = files.flight.poses[1]
-    rig, out = yaml.safe_load((files.folder / "rig.yaml").read_text()), tmp_path / "path.csv"
+def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flight, files, tmp_path, unit):
+    R, t_m = flight.poses[1]
+    rig, out = yaml.safe_load(files[-1].read_text()), tmp_path / "path.csv"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
     rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
     again = tmp_path / "again.yaml"
-    code, _, err = run("sync", *files.cameras(2), *options, "--write-rig", again)
+    code, _, err = run("sync", *files[:2], *options, "--write-rig", again)
     assert code == 0, err
     if unit == "first_baseline":
-        T_2_1[:3, 3] /= files.flight.distance_m
+        T_2_1[:3, 3] /= flight.distance_m
         assert err.count("in distances of the first two cameras placed") == 2
     else:
-        assert files.rms_off_m(out) < 0.15  # as where --distance states the scale
+        assert rms_off_m(flight, out) < 0.15  # as where --distance states the scale
     np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
     assert load_rig(again).in_metres == (unit == "m")

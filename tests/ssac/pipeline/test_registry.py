@@ -123,11 +123,9 @@ def test_ours_are_declared_in_their_files_which_is_all_that_a_method_takes(tmp_p
         "@cached\ndef found(views: TwoViews) -> Estimate:\n    1 / 0\n"
     )
     monkeypatch.setattr("ssac.methods.method.__file__", str(tmp_path / "method.py"))
-    first, second = our_methods.__wrapped__()
-    told = first.name, first.summary, first.runs
-    assert told == ("mine", "the first", "ssac.methods.mine:found")
-    told = second.name, second.summary, second.input
-    assert told == ("mine-too", "the 'second'", Input.RATES)
+    one, other = our_methods.__wrapped__()
+    assert (one.name, one.summary, one.runs) == ("mine", "the first", "ssac.methods.mine:found")
+    assert (other.name, other.summary, other.input) == ("mine-too", "the 'second'", Input.RATES)
 
 
 def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name(capsys):
