@@ -1,5 +1,6 @@
 """The command line: its list of commands, options, progress, exit codes and one-line errors."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,19 +8,21 @@ import sys
 import termios
 from functools import partial
 from importlib.metadata import version
+from itertools import product
 from unittest.mock import Mock
 
 import numba
 import pytest
 
 from ssac.cli import convert, exits, sync
-from ssac.cli.command_line import Entry, command_line, run
+from ssac.cli.command_line import COMMANDS, Entry, command_line, run
 from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, fail, guarded
 from ssac.cli.options import config_of
 from ssac.cli.progress import compilation_told, progress, say
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
 from ssac.screen import COLUMNS, columns
+from tests.recorded import T_D_S
 
 LONG = "A summary of some length, which a narrow list of commands would cut."
 ENTRIES = (
@@ -382,3 +385,61 @@ def test_an_interrupt_leaves_the_callers_signals_as_they_were():
     before = [signal.getsignal(number) for number in numbers]
     assert guarded(Mock(side_effect=KeyboardInterrupt())) == INTERRUPTED == 130
     assert [signal.getsignal(number) for number in numbers] == before
+
+
+# --- What is imported: no simulator, no experiments, nothing else unneeded ---
+
+RUN = """
+import runpy
+import sys
+
+sys.argv[0] = "ssac"
+try:
+    runpy.run_module(sys.argv.pop(1), run_name="__main__", alter_sys=True)
+finally:
+    print("imported:", *sys.modules)
+    from threadpoolctl import threadpool_info
+    blas = [one for one in threadpool_info() if one["user_api"] == "blas"]
+    print("threads:", *{one["num_threads"] for one in blas})
+"""
+
+
+def ran(*args: object):
+    """Run a module's command line; return the process, its imports, and BLAS's thread count."""
+    command = [sys.executable, "-c", RUN, *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    *_, modules, threads = done.stdout.splitlines()
+    return done, set(modules.split()), threads
+
+
+def test_only_commands_of_its_own_are_listed():
+    assert [entry.name for entry in COMMANDS] == ["sync", "track", "import", "compare"]
+
+
+HEAVY = {
+    *("faery", "matplotlib", "pandas", "scipy.signal", "scipy.stats", "scipy.interpolate"),
+    *("ssac.network.solve", "ssac.network.ground", "ssac.pipeline.plots", "ssac.methods.albl"),
+}
+FOR_WORK = {"numba", "scipy", "cv2", "h5py", "pyrender", "trimesh"}
+
+
+@pytest.mark.parametrize("method", ["tangency", "event_rate"])
+def test_sync_needs_no_simulator_and_imports_no_more_than_it_needs(method, recorded, tmp_path):
+    out = tmp_path / "out.json"
+    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", method, "--json", out)
+    done, imported, threads = ran("ssac.cli", "sync", *args)
+    assert done.returncode == 0, done.stderr
+    assert abs(json.loads(out.read_text())["t_d_s"] - T_D_S) < 0.05
+    assert "scipy.ndimage" in imported  # the list works
+    assert not (HEAVY | {"sim", "experiments"}) & imported
+    assert threads == "threads: 1"
+
+
+USES = [*product(("ssac.cli", "experiments"), ("--version", "sync --help", "sync"))]
+
+
+@pytest.mark.parametrize(("program", "args"), [*USES, ("ssac", "")])
+def test_nothing_heavy_is_imported_for_help_or_for_bad_usage_nor_by_the_package(program, args):
+    _, imported, _ = ran(program, *args.split())
+    assert ("typer" in imported) == (program != "ssac")
+    assert not (HEAVY | FOR_WORK) & imported

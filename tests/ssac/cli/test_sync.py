@@ -1,9 +1,11 @@
-"""`ssac sync` and `ssac track`: what they find, print and write."""
+"""`ssac sync` and `ssac track`: what they find, print, read and write."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from ssac import sync
 from ssac.cli.exits import NO_ESTIMATE
@@ -14,6 +16,8 @@ from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
+from ssac.network.tum import read_path
+from ssac.pipeline.many import short_names
 from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
 from ssac.points import PointTrack
@@ -25,16 +29,17 @@ from tests.recorded import T_D_S
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, mixed
 from tests.ssac.command import read_json, run, run_sync
+from tests.ssac.network.flights import DURATION_S, make_flight
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_angle_deg
-from tests.ssac.tracks import save_pair
+from tests.ssac.tracks import rig_document, save_pair
 
 TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels err by about 1 ms
 
 
-def answered(folder, *args):
-    """Run `ssac sync`, which must succeed; return the run, and its JSON without the duration."""
+def answered(folder, *args, code=0):
+    """Run `ssac sync`, which must end so; return the run, and its JSON without the duration."""
     result = run_sync(*args, "--json", folder / "out.json")
-    assert result.exit_code == 0, result.stderr
+    assert result.exit_code == code, result.stderr
     return result, {**read_json(folder / "out.json"), "seconds": 0}
 
 
@@ -129,12 +134,10 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
 
 
 def test_no_reliable_estimate_says_why(recorded, tmp_path):
-    out, synced, plot = tmp_path / "out.json", tmp_path / "synced.h5", tmp_path / "figures"
-    outputs = ("--json", out, "--write-synced", synced, "--plot", plot)
+    synced, plot = tmp_path / "synced.h5", tmp_path / "figures"
     args = ("--rig", recorded / "rig.yaml", "--method", "ssac", "--search", "-1", "0.02")
-    result = run_sync(*recorded.pair, *args, *outputs)
-    assert result.exit_code == NO_ESTIMATE
-    found = read_json(out)
+    outputs = ("--write-synced", synced, "--plot", plot)
+    result, found = answered(tmp_path, *recorded.pair, *args, *outputs, code=NO_ESTIMATE)
     assert found["status"] == "search_bound"
     assert "widen the interval" in found["reason"]
     assert f"search_bound: {found['reason']}" in result.stdout
@@ -285,3 +288,146 @@ def test_the_readout_that_is_not_stated_is_told_or_taken_for_none_and_that_is_sa
     assert 0.0 <= report["readout_s"][1] < 4.0 * report["readout_std_s"][1]
     assert "readout        camera 2 " in result.summary()
     assert report["note"] == ""
+
+
+# --- Three cameras, and the path from two ---
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return make_flight(3)
+
+
+@pytest.fixture(scope="module")
+def files(flown, tmp_path_factory):
+    """Three tracks of one flight, and their rig."""
+    folder = tmp_path_factory.mktemp("many")
+    size = {"intrinsics": [900.0, 900.0, 480.0, 300.0], "resolution": [960, 600]}
+    entry = rig_document(**size, intrinsics_std=[0.0] * 4)["cam0"]
+    files = [folder / name for name in ("cam1.csv", "cam2.csv", "cam3.csv", "rig.yaml")]
+    for file, seen in zip(files, flown.seen, strict=False):
+        save_track(file, PointTrack(seen.times_s, seen.points_px))
+    files[3].write_text(yaml.safe_dump({f"cam{k}": entry for k in range(3)}))
+    return files
+
+
+def rms_off_m(flown, file):
+    """Return the rms distance [m] of a written path from the true one."""
+    path = read_path(file)
+    off_m = np.linalg.norm(path.positions_m - flown.path(path.times_s), axis=1)
+    return float(np.sqrt(np.mean(off_m**2)))
+
+
+def test_three_cameras(flown, files, tmp_path):
+    *cameras, rig = files
+    path_file, rig_file = tmp_path / "path.tum", tmp_path / "rig.yaml"
+    outputs = ("--trajectory", path_file, "--write-rig", rig_file, "--distance", flown.distance_m)
+    result, found = answered(tmp_path, *cameras, "--rig", rig, *outputs)
+    assert "cam3" in result.stdout
+    assert [camera["status"] for camera in found["cameras"]] == ["ok"] * 3
+    for k, camera in enumerate(found["cameras"][1:], 1):
+        true_s = flown.shown_s(k, camera["t_ref_s"])
+        # Readouts of frames are unknown, so deviations include 10 ms for them.
+        assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
+        assert camera["t_d_std_s"] < 0.02
+    assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flown.distance_m, rel=1e-4)
+    cam2, cam3 = found["cameras"][1:]
+    rig = load_rig(rig_file, (1, 3))
+    np.testing.assert_allclose(rig.T_2_1[:3, :3], cam3["R"], atol=1e-12)  # by way of camera 2
+    np.testing.assert_allclose(rig.T_2_1[:3, 3], cam3["t"], atol=1e-9)
+    shifts_s = [
+        entry.get("timeshift_cn_cnm1", 0.0) for entry in yaml.safe_load(rig_file.open()).values()
+    ]
+    # Offsets hold at different times, between which skews of some 100 ppm change them.
+    assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
+    assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
+    assert rms_off_m(flown, path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
+    assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see most of it
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a/cam1.h5", "b/cam2.csv"], ["cam1", "cam2"]),
+        (["a/left/x.h5", "a/right/x.h5", "x.csv"], ["left/x", "right/x", "x"]),
+        (["two.bag/1/events", "two.bag/2/events"], ["1/events", "2/events"]),
+        (["a/x.h5", "a/x.csv"], ["a/x.h5", "a/x.csv"]),
+        (["camera 1", "camera 2"], ["camera 1", "camera 2"]),
+    ],
+)
+def test_files_of_one_name_are_told_apart_by_their_folders(names, short):
+    assert short_names(names) == short
+
+
+def test_options_reach_every_pair(files, tmp_path):
+    *cameras, rig = files
+    result, _ = answered(tmp_path, *cameras, "--rig", rig, "--search", -1, 1, code=NO_ESTIMATE)
+    assert result.stderr.count("no_common_time") == 2  # the clocks are 26 and 30 s apart
+    assert "offsets" not in result.stderr
+
+
+def save_another(path, start_s):
+    """Save a track of 3 s of another object, which no offset fits."""
+    times_s = start_s + 0.05 * np.arange(60)
+    points_px = 300.0 + 100.0 * np.column_stack([np.cos(9.0 * times_s), np.sin(7.0 * times_s)])
+    save_track(path, PointTrack(times_s, points_px))
+    return path
+
+
+@pytest.mark.parametrize("n_cameras", [2, 3])
+def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_path, n_cameras):
+    rtk, *outputs = (tmp_path / name for name in ("rtk.csv", "path.tum", "found.yaml"))
+    rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
+    strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
+    options = ("--rtk", rtk, "--trajectory", outputs[0], "--write-rig", outputs[1])
+    args = (files[0], *strangers, "--rig", files[-1], "--search", -1, 1)  # they are 1000 s apart
+    result, found = answered(tmp_path, *args, *options, code=NO_ESTIMATE)
+    for output in outputs:
+        assert f"not written: {output}" in result.stderr
+        assert not output.exists()
+    assert found["status"] != "ok"
+
+
+def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_in(
+    flown, files, tmp_path
+):
+    out, late = tmp_path / "path.csv", save_another(tmp_path / "late.csv", 1000.0)
+    one, other, _, of_three = files
+    options = ("--rig", of_three, "--trajectory", out, "--distance", flown.distance_m)
+    result, _ = answered(tmp_path, one, other, *options)
+    assert "time offset" in result.stdout
+    assert "which hold from" in result.stderr
+    assert rms_off_m(flown, out) < 0.15  # more than with three cameras, as one view is missing
+    path = read_path(out)
+    assert path.deviations_m.shape == path.positions_m.shape
+    rig = tmp_path / "rig.yaml"
+    options = ("--rig", of_three, "--write-rig", rig, "--distance", 7)  # one camera gets no place
+    result, found = answered(tmp_path, one, late, other, *options, code=NO_ESTIMATE)
+    assert re.search(r"late +no_match", result.stdout)
+    assert "placed; no pose with the others: camera 2 (no_match)\n" in result.stderr
+    assert load_rig(rig, (1, 2)).T_2_1 is None
+    written = load_rig(rig, (1, 3))  # the camera between has no pose
+    np.testing.assert_allclose(written.T_2_1[:3, :3], found["cameras"][2]["R"])
+    assert not written.in_metres
+    assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
+    assert "--distance is not used" in result.stdout
+    assert found["scale_is_known"] is False
+
+
+@pytest.mark.parametrize("unit", ["m", "first_baseline"])
+def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flown, files, tmp_path, unit):
+    R, t_m = flown.poses[1]
+    rig, out = yaml.safe_load(files[-1].read_text()), tmp_path / "path.csv"
+    T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
+    rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
+    again = tmp_path / "again.yaml"
+    result, _ = answered(tmp_path, *files[:2], *options, "--write-rig", again)
+    if unit == "first_baseline":
+        T_2_1[:3, 3] /= flown.distance_m
+        assert result.stderr.count("in distances of the first two cameras placed") == 2
+    else:
+        assert rms_off_m(flown, out) < 0.15  # as where --distance states the scale
+    np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
+    assert load_rig(again).in_metres == (unit == "m")
