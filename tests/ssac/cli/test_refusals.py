@@ -18,25 +18,6 @@ from tests.ssac.command import run, run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_scene
 from tests.ssac.tracks import rig_document, save_pair
 
-
-def make_events_of_all_kinds(recorded, folder: Path) -> None:
-    for name in ("cam1.h5", "cam2.h5", "rig.yaml"):
-        (folder / name).write_bytes((recorded / name).read_bytes())
-    (folder / "folder.h5").mkdir()
-    (folder / "zero.h5").write_bytes(b"")
-    (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
-    (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
-    events = load_events(recorded / "cam1.h5").events
-    save_events_h5(folder / "events_only.h5", events, WIDTH, HEIGHT)
-    for k in range(2):
-        alone = noise(WIDTH, HEIGHT, 5.0, 500_000, k)
-        save_events_h5(folder / f"noise{k}.h5", alone, WIDTH, HEIGHT)
-    topics = {"/left": arrays(events[:300]), "/right": mono(events[:300])}
-    write_bag(folder / "both.bag", topics)
-    write_bag(folder / "one.bag", {"/left": topics["/left"]})
-    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
-
-
 HEAD = "t_s,x_px,y_px\n"
 TEXTS = {
     "no_header": ("{rows}", "first line must name the columns"),
@@ -53,32 +34,44 @@ TEXTS = {
 """Texts of bad track files, with the {rows} of a good one, and the error of each."""
 
 
-def make_tracks_of_all_kinds(folder: Path) -> None:
-    save_pair(folder, make_scene(1), 7.3)
-    track = load_track(folder / "cam1.csv")
-    _, rows = (folder / "cam1.csv").read_text().split("\n", 1)
+@pytest.fixture(scope="module")
+def folder(recorded, tmp_path_factory) -> Path:
+    """Events of all kinds, and in `tracks` tracks of all kinds."""
+    folder = tmp_path_factory.mktemp("refused")
+    for name in ("cam1.h5", "cam2.h5", "rig.yaml"):
+        (folder / name).write_bytes((recorded / name).read_bytes())
+    (folder / "folder.h5").mkdir()
+    (folder / "zero.h5").write_bytes(b"")
+    (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
+    (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
+    events = load_events(recorded / "cam1.h5").events
+    save_events_h5(folder / "events_only.h5", events, WIDTH, HEIGHT)
+    for k in range(2):
+        alone = noise(WIDTH, HEIGHT, 5.0, 500_000, k)
+        save_events_h5(folder / f"noise{k}.h5", alone, WIDTH, HEIGHT)
+    topics = {"/left": arrays(events[:300]), "/right": mono(events[:300])}
+    write_bag(folder / "both.bag", topics)
+    write_bag(folder / "one.bag", {"/left": topics["/left"]})
+    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
+    tracks = folder / "tracks"
+    tracks.mkdir()
+    save_pair(tracks, make_scene(1), 7.3)
+    track = load_track(tracks / "cam1.csv")
+    _, rows = (tracks / "cam1.csv").read_text().split("\n", 1)
     for name, (text, _) in TEXTS.items():
-        (folder / f"{name}.csv").write_text(text.format(rows=rows))
-    (folder / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
-    (folder / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
+        (tracks / f"{name}.csv").write_text(text.format(rows=rows))
+    (tracks / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    (tracks / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
     for name, times_s in {
         "whole_us": np.rint(1e6 * track.times_s),
         "wraps": track.times_s % (2**24 * 1e-6),
         "third": track.times_s,
     }.items():
-        save_track(folder / f"{name}.csv", replace(track, times_s=times_s))
+        save_track(tracks / f"{name}.csv", replace(track, times_s=times_s))
     slow, wrong = rig_document(readout_s=0.05), rig_document(readout_s=33)
     three = {**rig_document(), "cam2": rig_document()["cam0"]}
     for name, rig in {"slow": slow, "wrong": wrong, "three": three}.items():
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(rig))
-
-
-@pytest.fixture(scope="module")
-def folder(recorded, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("refused")
-    make_events_of_all_kinds(recorded, folder)
-    (folder / "tracks").mkdir()
-    make_tracks_of_all_kinds(folder / "tracks")
+        (tracks / f"{name}.yaml").write_text(yaml.safe_dump(rig))
     return folder
 
 

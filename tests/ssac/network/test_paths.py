@@ -18,19 +18,14 @@ from ssac.rules import GroundRules
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, RULES, make_flight
 
-UNIX_S = 1.7e9 + np.arange(50) * 0.2  # as of a receiver with Unix time
-
-
-def _path(with_deviations=True):
-    rng = np.random.default_rng(0)
-    positions = np.cumsum(rng.normal(size=(50, 3)), axis=0) + 30.0
-    return Path(UNIX_S, positions, rng.uniform(0.01, 0.1, (50, 3)) if with_deviations else None)
-
 
 @pytest.mark.parametrize("name", ["path.tum", "path.csv"])
 @pytest.mark.parametrize("with_deviations", [True, False])
 def test_a_path_survives_writing(tmp_path, name, with_deviations):
-    file, path = tmp_path / name, _path(with_deviations)
+    file, rng = tmp_path / name, np.random.default_rng(0)
+    positions = np.cumsum(rng.normal(size=(50, 3)), axis=0) + 30.0
+    deviations = rng.uniform(0.01, 0.1, (50, 3)) if with_deviations else None
+    path = Path(1.7e9 + np.arange(50) * 0.2, positions, deviations)  # as of a receiver's Unix time
     write_path(file, path)
     again = read_path(file)
     np.testing.assert_allclose(again.times_s, path.times_s, rtol=0.0, atol=3e-7)  # 7 digits, 1970
@@ -336,8 +331,9 @@ def test_bad_input_is_one_line(tmp_path, args, reason):
 
 # --- Metres and the frame of the ground ---
 
-TURN = Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix()
-SHIFT_M = np.array([100.0, -50.0, 7.0])
+TO_GROUND = Similarity(
+    1.0, Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix(), np.array([100.0, -50.0, 7.0])
+)
 GROUND = GroundRules()
 TIMES_S = np.arange(0.0, DURATION_S, 0.2)
 
@@ -348,19 +344,14 @@ def solved():
     return flight, solve_network(flight.seen, flight.links(), 50.0, 1.0, RULES)
 
 
-def on_ground(points_m) -> np.ndarray:
-    """Points of the first camera's frame, in a frame of the ground."""
-    return points_m @ TURN.T + SHIFT_M
-
-
 def centres_m(flight) -> np.ndarray:
     """Where the cameras stand, in a frame of the ground."""
-    return on_ground(np.array([-R.T @ t for R, t in flight.poses]))
+    return TO_GROUND.apply(np.array([-R.T @ t for R, t in flight.poses]))
 
 
 def off_m(flight, answer) -> float:
     path = answer.paths[0].path
-    true = on_ground(flight.path(path.times_s))
+    true = TO_GROUND.apply(flight.path(path.times_s))
     return float(np.sqrt(np.mean(np.sum((path.positions_m - true) ** 2, axis=1))))
 
 
@@ -385,7 +376,7 @@ def test_positions_give_metres_and_the_frame(solved, tmp_path):
 
 def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
     flight, answer = solved
-    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 77.7, on_ground(flight.path(TIMES_S))))
+    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 77.7, TO_GROUND.apply(flight.path(TIMES_S))))
     ground = ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
     assert off_m(flight, in_frame(answer, ground)) < 0.05
     assert "77.7" in ground.said
@@ -397,7 +388,7 @@ def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
     # The body turns, so that the alignment cannot absorb the arm.
     yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
     turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
-    antenna_m = on_ground(flight.path(TIMES_S)) + turns.apply(arm_m)
+    antenna_m = TO_GROUND.apply(flight.path(TIMES_S)) + turns.apply(arm_m)
     write_path(rtk, Path(TIMES_S + 5.0, antenna_m, quaternions=turns.as_quat()))
     ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
     assert off_m(flight, in_frame(answer, ground)) < 0.05  # as without an arm

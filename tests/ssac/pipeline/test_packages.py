@@ -160,22 +160,11 @@ def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
         chain.estimate(Registry()["mine"])
 
 
-CRASHING = """
-import numpy as np
-from ssac import Estimate
-
-def estimate(cam1, cam2, rig, config):
-    return Estimate("mine", t_d_s=helper({}))
-
-def helper(found):
-    return np.linalg.inv(np.zeros((2, 2)))
-"""
-
-
 def test_a_crash_is_said_to_be_the_packages_and_in_a_table_it_is_a_row_that_says_so(
     site, chain, recorded, tmp_path, monkeypatch
 ):
-    install(site, "fragile", "mine = fragile:estimate", CRASHING)
+    helper = "import numpy as np\ndef helper(): return np.linalg.inv(np.zeros((2, 2)))\n"
+    install(site, "fragile", "mine = fragile:estimate", helper + GOOD.replace("0.25", "helper()"))
     for module in ("ssac.pipeline.registry", "experiments.lab.scored"):
         monkeypatch.setattr(f"{module}.METHODS", Registry())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -185,7 +174,7 @@ def test_a_crash_is_said_to_be_the_packages_and_in_a_table_it_is_a_row_that_says
     assert (code, out) == (3, "")
     whose = "fragile 1.2 (entry point mine = fragile:estimate): LinAlgError: Singular matrix"
     assert err.splitlines()[-1] == (
-        f"error: {whose} ({site / 'fragile.py'}, line 9): a bug of that package; please report it"
+        f"error: {whose} ({site / 'fragile.py'}, line 2): a bug of that package; please report it"
         f" with the traceback in {file}"
     )
     assert "Singular matrix" in file.read_text()
