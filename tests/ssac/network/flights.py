@@ -76,7 +76,6 @@ class Flight:
 def seen_by(
     track: PointTrack, name: str, has_frames: bool = False, camera: Camera = CAMERA, **more: Any
 ) -> Sightings:
-    """Return the sightings of one camera."""
     return sightings(track, camera, name, has_frames, RULES.points, **more)
 
 
