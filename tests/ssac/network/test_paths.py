@@ -374,24 +374,17 @@ def test_positions_give_metres_and_the_frame(solved, tmp_path):
     assert scale == pytest.approx(flight.distance_m, rel=0.01)  # the answer's unit
 
 
-def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
-    flight, answer = solved
-    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 77.7, TO_GROUND.apply(flight.path(TIMES_S))))
-    ground = ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
-    assert off_m(flight, in_frame(answer, ground)) < 0.05
-    assert "77.7" in ground.said
-
-
-def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
+def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solved, tmp_path):
     flight, answer = solved
     rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
     # The body turns, so that the alignment cannot absorb the arm.
     yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
     turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
     antenna_m = TO_GROUND.apply(flight.path(TIMES_S)) + turns.apply(arm_m)
-    write_path(rtk, Path(TIMES_S + 5.0, antenna_m, quaternions=turns.as_quat()))
+    write_path(rtk, Path(TIMES_S + 77.7, antenna_m, quaternions=turns.as_quat()))
     ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
-    assert off_m(flight, in_frame(answer, ground)) < 0.05  # as without an arm
+    assert "shows 77." in ground.said
+    assert off_m(flight, in_frame(answer, ground)) < 0.05  # as with positions
     assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND))) > 0.1
     write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
     with pytest.raises(SsacError, match="lever arm turns with the body"):
