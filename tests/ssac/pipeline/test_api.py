@@ -289,9 +289,10 @@ def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
     for numbers in (3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)):
         with pytest.raises(SsacError, match=r"^cameras: expected the numbers|for both|no cam2"):
             ssac.sync(ONE, OTHER, files / "rig.yaml", cameras=numbers)
-    for name in ("known_extrinsics", "estimate_readout", "cameras"):
+    of_two = {"cameras": (1, 3), "known_extrinsics": True, "estimate_readout": True}
+    for name, value in of_two.items():
         with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
-            ssac.sync([ONE, OTHER, ONE], [CAMERA] * 3, **{name: True})
+            ssac.sync([ONE, OTHER, ONE], [CAMERA] * 3, **{name: value})
     for fields in ({"distance_m": "a"}, {"distance_m": -1}, {"distance_m": 1, "rtk": Path("a")}):
         with pytest.raises(SsacError, match=r"distance_m"):
             Known(**fields)

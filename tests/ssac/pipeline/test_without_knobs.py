@@ -19,8 +19,16 @@ from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
-from tests.ssac.synthetic import CAMERA, clocked, denoised, make_events, make_scene
-from tests.ssac.synthetic import rotation_angle_deg as turn_deg
+from tests.ssac.synthetic import (
+    CAMERA,
+    HEIGHT,
+    WIDTH,
+    clocked,
+    denoised,
+    make_events,
+    make_scene,
+    rotation_angle_deg,
+)
 from tests.ssac.tracks import frame_track, frame_tracks
 
 T_D_S = 0.05
@@ -112,7 +120,7 @@ def test_few_events_are_enough_where_there_is_no_noise():
 def test_no_wrong_focal_length_is_believed_and_a_large_error_is_named(events, share, said):
     result = ssac.sync(*events, [longer(share), UNSTATED])
     if result.status == Status.OK:  # with larger deviations of the calibration
-        assert turn_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
+        assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
     assert said in result.note
 
 
@@ -196,7 +204,7 @@ def test_what_an_interval_contradicts_needs_more_to_agree_elsewhere():
 
 def test_it_is_said_how_far_focal_lengths_turn_the_pose(events, right):
     wrong = ssac.sync(*events, [longer(0.02), longer(0.02)]).estimate
-    turned_deg = turn_deg(wrong.R, right.R)
+    turned_deg = rotation_angle_deg(wrong.R, right.R)
     assert 0.02 * right.per_focal_deg[0] == pytest.approx(turned_deg, rel=0.2)  # to first order
 
 
@@ -222,7 +230,7 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     scene, noise_hz = make_scene(1, duration_s=12.0), 0.25  # as of a DAVIS346
     faint = make_events(scene, 1, T_D_S, max(seen_hz, 1.0), 0.0)
     noisy = [
-        merged(one if seen_hz else one[:0], noise(346, 260, noise_hz, 12_000_000, seed))
+        merged(one if seen_hz else one[:0], noise(WIDTH, HEIGHT, noise_hz, 12_000_000, seed))
         for seed, one in enumerate(faint)
     ]
     result = ssac.sync(*noisy, [CAMERA, CAMERA])

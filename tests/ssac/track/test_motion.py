@@ -82,18 +82,32 @@ def test_another_camera_is_obeyed(cleaned):
 
 
 @pytest.mark.parametrize("t_d_s", [1.6e-6, -1.234567, 3600.0])
-def test_a_delay_is_of_whole_microseconds_and_leaves_what_is_given(t_d_s, raw):
-    before, shift_us = raw.events.copy(), round(t_d_s * 1e6)
-    later, some = raw.delayed(t_d_s), replace(raw, events=raw.events[::3]).delayed(t_d_s)
+@pytest.mark.parametrize("camera", [CAMERA, RADTAN], ids=["none", "radtan"])
+def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, raw):
+    before, shift_us = raw.events.copy(), round(t_d_s * 1e6)  # events and frames shift by whole us
+    some = replace(raw, events=raw.events[::3])
+    later, seen = raw.delayed(t_d_s), clean(raw, camera, HOW)
+    times_us = motion_of(seen, WINDOWS).times_us.copy()  # its kept sums are delayed, too
+    delayed, expected = seen.delayed(t_d_s), clean(later, camera, HOW)
     track = tracked(TRACK).delayed(t_d_s)
-    assert np.array_equal(raw.events, before)
-    assert np.array_equal(later.events["t"], before["t"] + shift_us)
-    assert np.array_equal(later.events[["x", "y", "p"]], before[["x", "y", "p"]])
-    assert np.array_equal(some.events, later.events[::3])
+    assert np.array_equal(raw.events, before)  # the given events are unchanged
+    assert np.array_equal(motion_of(seen, WINDOWS).times_us, times_us)
+    # Whole microseconds: exact.
+    assert np.array_equal(delayed.events, expected.events)
+    assert_same(motion_of(delayed, WINDOWS), motion_of(expected, WINDOWS))
+    assert np.array_equal(later.events["t"], raw.events["t"] + shift_us)
+    assert np.array_equal(later.events[["x", "y", "p"]], raw.events[["x", "y", "p"]])
+    assert np.array_equal(some.delayed(t_d_s).events, later.events[::3])
     # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
-    assert later.frame_times_s == pytest.approx(raw.frame_times_s + 1e-6 * shift_us, abs=1e-12)
+    assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + 1e-6 * shift_us, abs=1e-12)
     assert track.track.times_s == pytest.approx(TRACK.times_s + 1e-6 * shift_us, abs=1e-12)
     assert track.span_s == pytest.approx((1e-6 * shift_us, 0.9 + 1e-6 * shift_us), abs=1e-12)
+
+
+def test_a_delay_moves_gaps(cleaned):
+    gaps_us = np.array([[1_000_000, 2_000_000]])
+    late = replace(cleaned, gaps_us=gaps_us).delayed(0.25)
+    assert np.array_equal(late.gaps_us, gaps_us + 250_000)
 
 
 def test_sums_are_found_again_in_another_process_and_of_other_events(cleaned):

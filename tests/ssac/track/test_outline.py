@@ -17,7 +17,7 @@ from ssac.track.objects import objects_of, seem_several
 from ssac.track.observation import Observation
 from ssac.track.outline import OutlineConfig, highest_in_blocks, near_outline, tangents
 from ssac.track.thin_line import events_on_line
-from tests.ssac.cluttered import flight, merged, noise
+from tests.ssac.cluttered import branches, flight, merged, mixed, noise
 from tests.ssac.synthetic import (
     CAMERA,
     HEIGHT,
@@ -227,6 +227,13 @@ def test_the_motion_without_the_line_goes_where_the_motion_goes():
 RULES = ObjectRules()
 
 
+@pytest.fixture(scope="module")
+def both():
+    """One camera's events of two flights, the flight that each is of, and the objects found."""
+    events, thing = mixed(flight(4)[0], flight(5)[0])
+    return events, thing, objects_of(events, CAMERA, RULES)
+
+
 @pytest.mark.parametrize("size_m", [0.2, 0.8])  # images of 8 and 32 px
 def test_one_thing_seems_one(size_m):
     for events in make_events(make_scene(4, duration_s=8.0), 4, size_m=size_m):
@@ -240,6 +247,21 @@ def test_the_parts_of_a_large_thing_are_one():
     assert not objects_of(events, CAMERA, RULES).are_several
 
 
+def test_each_piece_is_of_one_thing(both):
+    events, thing, found = both
+    assert found.are_several
+    assert found.n_seen == 2
+    shares, n_bins = [], 0
+    for piece in found.pieces:
+        share = np.mean(thing[found.events_of([piece])])
+        shares.append(max(share, 1.0 - share))
+        n_bins += len(piece.positions_px)
+    # Where two objects touch, one or two of the few bins at a piece's ends hold both.
+    assert np.mean(np.array(shares) > 0.97) > 0.9
+    # Both are in view most of the time, and apart for most of that.
+    assert n_bins > 1.2 * np.ptp(events["t"]) / RULES.bin_us
+
+
 def test_pieces_follow_the_path():
     found = objects_of(flight(4)[0], CAMERA, RULES)
     for piece in found.pieces:
@@ -250,3 +272,14 @@ def test_pieces_follow_the_path():
         apart_px = np.linalg.norm(piece.positions_px - seen_px, axis=1)
         # The mean of 500 events of 16 px is good to 0.3 px; images that leave the view are cut.
         assert np.median(apart_px[inner]) < 0.5
+
+
+def test_what_stays_in_its_place_is_no_piece():
+    events, thing = mixed(flight(4)[0], branches(1))
+    found = objects_of(events, CAMERA, RULES)
+    assert found.are_several
+    assert found.n_seen > 2
+    chosen = thing[found.events_of(found.pieces)]
+    assert len(chosen) > 0.3 * np.count_nonzero(thing == 0)
+    # Few leaves lie beyond the cells that leaves fill in a third of the bins.
+    assert np.mean(chosen) < 0.02
