@@ -20,6 +20,8 @@ from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
 from sim.sensor.events import PRESETS, SensorConfig
 from ssac.files.event_files import load_events
+from ssac.files.hdf5 import load_frames
+from ssac.files.rigs import load_rig
 from ssac.network.tum import read_path
 from tests.experiments.command import run
 from tests.left_over import ended_process, made_by
@@ -36,7 +38,8 @@ def truth_of(folder):
 @pytest.mark.render
 def test_the_folder_holds_what_the_design_says(tmp_path):
     plain = tmp_path / "new" / "recording"
-    said = simulate(plain, *FAST, "--t-d", 0.05, "--angle", 60, "--text", "--figures")
+    late = ["--t-d", 0.05, "--skew-ppm", 1000]
+    said = simulate(plain, *FAST, *late, "--angle", 60, "--text", "--figures")
     assert "| median image speed [px/s] | 198 |" in " ".join(said.split())
     assert {path.name for path in plain.iterdir()} == {
         "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
@@ -53,6 +56,10 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
         * Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).inv()
     )
     assert turns.magnitude().max() < 1e-7
+    frames = load_frames(plain / "cam2.h5")
+    assert frames is not None
+    # Middle of the first exposure on camera 2's clock, which the skew sets back by 1 ms there.
+    assert frames[0][0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
 
 
 @pytest.mark.render
@@ -65,6 +72,8 @@ def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(tmp
     for k in (1, 2):
         turn = Rotation.from_matrix(views[k] @ views[0].T)
         assert np.degrees(turn.magnitude()) == pytest.approx(50.0 * k)
+        rig = load_rig(tmp_path / "a" / "rig_extrinsics.yaml", (k, k + 1))
+        np.testing.assert_allclose(rig.T_2_1[:3, :3], views[k] @ views[k - 1].T, atol=1e-12)
         starts_us = [load_events(tmp_path / "a" / f"cam{n}.h5").events["t"][0] for n in (k, k + 1)]
         # The lamp flickers from the start, at 100 Hz.
         assert np.diff(starts_us) == pytest.approx(50_000, abs=10_000)
