@@ -12,7 +12,6 @@ import pytest
 
 import ssac
 from docs import conf, example, track_video
-from ssac.pipeline import retries
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -20,9 +19,6 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.mark.render
 def test_the_tour_runs_and_finds_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # The retries of a refused recording take long, and have tests of their own.
-    monkeypatch.setattr(retries, "lies_elsewhere", lambda *_: False)
-    monkeypatch.setattr(retries, "WAYS", ())
     runpy.run_path(str(ROOT / "docs" / "tour" / "tour.py"))
     said = capsys.readouterr().out
     assert len(plt.get_fignums()) == 1
