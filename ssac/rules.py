@@ -252,6 +252,11 @@ class ViewRules:
     max_slenderness: float = 1.0 / 8.0  # ... and over its deviation along
     max_return: float = 0.2  # mean distance from itself a lag later, over its extent, if it repeats
     even_share: float = 0.5  # least share of the time that it is seen, for even sample times
+    # A path that fits itself a lag later, as seen by one more camera, is uniform: lags in shares of
+    # the recording, and largest median distance in those of the path's extent. Helices and circles
+    # have up to .05, most .01; flights of 3 s and more .075 and more, by 88 odd ones.
+    uniform_lags: tuple[float, float, float] = (0.08, 0.16, 0.24)
+    max_uniform: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -542,6 +547,9 @@ class TangencyRules:
     # Difference of the start's and the tangents' offsets, in the start's deviations, above which it
     # adds to the deviation where the start is refused.
     max_sigmas: float = 3.0
+    # On either side of an offset that positions leave open, where tangents must fit worse: a circle
+    # has .9 to 1.5 times the misfit there, one of a freely turning body 3.6.
+    probe_s: float = 0.1
     # Share of tangents seen, below which t_d's deviation grows by half of that difference: above,
     # tangents are right. By numbers 1062 to 1241 of `ssac by-hand`.
     few_seen: float = 0.4

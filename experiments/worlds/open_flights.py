@@ -1,7 +1,7 @@
 """Flights that leave the offset or the pose undetermined, and recordings that cannot be solved.
 
 The drone rotates as in ordinary flights, but four times as fast where its path alone makes too few
-events.
+events, and with its course where it orbits.
 
 A `Cause` says how the drone flies, for how long, what spoils the recording and which advice mends
 it; the cell gives the angle and the seeds of all draws. Where events matter, a flight is simulated;
@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair, recorded_pair
@@ -24,7 +25,13 @@ from sim.disturb import merged
 from sim.recorded import Drift, Jump
 from sim.recording import SimConfig
 from sim.scene.rig import FOCAL_PX, two_view_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
+from sim.scene.trajectory import (
+    Attitude,
+    SplineConfig,
+    Trajectory,
+    random_spline,
+    trajectory_to_csv,
+)
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
@@ -131,6 +138,23 @@ PATHS: dict[str, Callable[[Rng], Position]] = {
 }  # fmt: skip
 """Draws of the flights whose path is no random spline, by name."""
 
+_NOSE_FIRST = {"orbit": "circle"}
+"""Paths of the flights in which the body turns with its course, so that outlines tell no more."""
+
+
+def _nose_first(position: Position) -> Attitude:
+    """Turn a body's x axis along its course, and its z axis along that of the curve."""
+
+    def attitude(times_s: Array) -> Rotation:
+        step_s = 1e-3
+        before, here, after = (position(times_s + k * step_s) for k in (-1, 0, 1))
+        ahead, inward = after - before, after - 2.0 * here + before
+        up = np.cross(ahead, inward)
+        axes = np.stack([ahead, np.cross(up, ahead), up], axis=-1)
+        return Rotation.from_matrix(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    return attitude
+
 
 def flight_config(flight: str, angle_deg: float) -> SimConfig:
     """Give a flight's configuration, without the trajectory file that `flight_of` may add."""
@@ -144,14 +168,17 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
 
     A recording's key in the cache has the content of its trajectory file, not the name.
     """
-    if flight not in PATHS and flight not in _PACES:
+    path = _NOSE_FIRST.get(flight, flight)
+    if path not in PATHS and path not in _PACES:
         return recorded_pair(cache, config, seed)
     rng = generator(seed, _PATH_STREAM)
-    pace = _PACES.get(flight, 1.0)
+    pace = _PACES.get(path, 1.0)
     random = random_spline(replace(config.spline, duration_s=pace * DURATION_S), rng)
-    own = PATHS[flight](rng) if flight in PATHS else None
+    own = PATHS[path](rng) if path in PATHS else None
     position = own or (lambda times_s: random.position(pace * times_s))
     trajectory = Trajectory(DURATION_S, position, lambda times_s: random.attitude(pace * times_s))
+    if flight in _NOSE_FIRST:
+        trajectory = replace(trajectory, attitude=_nose_first(position))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"
         trajectory_to_csv(trajectory, file, _CSV_HZ)
@@ -400,6 +427,7 @@ CAUSES: dict[str, Cause] = {
     "uniform line": Cause((Status.AMBIGUOUS_OFFSET,), "line", path="straight-uniform"),
     "circle": Cause((Status.AMBIGUOUS_OFFSET,), "circle", path="circle"),
     "helix": Cause((Status.AMBIGUOUS_OFFSET,), "helix", path="helix"),
+    "orbit": Cause((Status.AMBIGUOUS_OFFSET,), "circle", path="orbit", of_events=True),
     "periodic": Cause((Status.AMBIGUOUS_OFFSET,), "repeats", path="periodic"),
     "straight": Cause(_OPEN_POSE, "line", path="straight"),
     "planar": Cause(_OPEN_POSE, "plane", path="planar"),
@@ -418,6 +446,7 @@ KINDS: dict[str, Cause] = {
     "slow": _open("slow"),
     "noise-kept": _open("noise-kept", denoise=False),
     "ordinary": _open(),
+    "orbit": _open("orbit"),
     "other-object": _open(spoil=_of_others),
     # A search of all offsets would find the true one.
     "no-overlap": _open(spoil=lambda _, case, rng: _delayed(case, _APART_S), search="interval"),

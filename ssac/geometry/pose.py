@@ -185,15 +185,11 @@ def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, since OpenCV's
     assumes both cameras to be on the same side of the plane.
     """
-    found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
-    if found is None:
+    H, distance = homography(x1[:, :2], x2[:, :2])
+    if H is None:
         return np.inf, []
-    H = np.asarray(found, dtype=np.float64)
-    mapped = x1 @ H.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distances = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - x2[:, :2], axis=1)
     _, sizes, axes = np.linalg.svd(H)
-    H = H * np.sign(np.median(mapped[:, 2])) / sizes[1]  # depths are positive in both views
+    H = H * np.sign(np.median(x1 @ H[2])) / sizes[1]  # depths are positive in both views
     squares = (sizes / sizes[1]) ** 2
     poses: list[Pose] = []
     along, across = np.sqrt(1.0 - squares[2]) * axes[0], np.sqrt(squares[0] - 1.0) * axes[2]
@@ -208,7 +204,19 @@ def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
         t = (H - R) @ before[:, 2]
         t = t / np.linalg.norm(t)
         poses += [(R, t), (R, -t)]
-    return float(np.median(distances)), poses
+    return distance, poses
+
+
+def homography(p1: Array, p2: Array) -> tuple[Array | None, float]:
+    """Homography (3, 3) of pairs (n, 2) by least median of squares, and their median distance."""
+    found, _ = cv2.findHomography(p1, p2, cv2.LMEDS)
+    if found is None:
+        return None, np.inf
+    H = np.asarray(found, dtype=np.float64)
+    mapped = np.column_stack([p1, np.ones(len(p1))]) @ H.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distances = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - p2, axis=1)
+    return H, float(np.median(distances))
 
 
 @dataclass(frozen=True)

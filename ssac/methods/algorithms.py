@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
-from ssac.camera import known_pose
+from ssac.camera import Rig, known_pose
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.fit.covariance import student_factor
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
@@ -22,6 +23,7 @@ from ssac.search.offset_search import (
     open_fundamental,
     search_offsets,
     too_little_motion,
+    uniform,
     valleys,
 )
 from ssac.search.two_views import TwoViews
@@ -93,6 +95,13 @@ def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
             " that any offset fits its speed: record longer, in all directions"
         )
         return refused(estimate, Refusal(Status.TOO_LITTLE_MOTION, reason))
+    pairs = views.pairs_at(t_d_s)
+    if _turned_px(*pairs.rays(views.rig), views.rig) <= views.rules.search.rival * misfit_px:
+        reason = (
+            "both cameras see the same course along a line, as of one that circles in the plane of"
+            " the cameras, seen at another time: fly in all directions"
+        )
+        return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
     return replace(
         estimate,
         status=Status.DEGENERATE_POSE,
@@ -104,6 +113,13 @@ def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
         n_samples=n_samples,
         d_avg_px=misfit_px,
     )
+
+
+def _turned_px(rays1: Array, rays2: Array, rig: Rig) -> float:
+    """Median distance of rays (n, 3) [px in camera 2] from each other, but for a rotation."""
+    one, two = (rays / np.linalg.norm(rays, axis=1)[:, None] for rays in (rays1, rays2))
+    turned = Rotation.align_vectors(two, one)[0].apply(one)
+    return float(np.median(np.linalg.norm(turned - two, axis=1)) * rig.cam2.K[0, 0])
 
 
 def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | None:
@@ -250,6 +266,8 @@ def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimat
     rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     differ = no_match(distance_px, views.object_px, rules)
+    if differ is not None and views.alone.are_uniform:
+        differ = uniform()  # on a circle so many F fit that none may be found
     refusal = differ or ambiguous_offset(found, views.config.max_valley_s)
     return estimate if refusal is None else refused(estimate, refusal, found)
 

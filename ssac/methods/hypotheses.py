@@ -22,6 +22,7 @@ from ssac.search.offset_search import (
     no_match,
     open_fundamental,
     other_offsets,
+    uniform,
     valleys,
 )
 from ssac.search.two_views import TwoViews, shutters_of
@@ -123,16 +124,19 @@ class Choice:
     def confirmed(self, estimate: Estimate, start: Estimate) -> Estimate:
         """Keep the search's refusal where the failure of all other hypotheses says little.
 
-        `start` is the search's estimate. On a circle F is open at any offset, so that poses may fit
-        to which no hypothesis led; likewise all along an endless valley. On a helix, where a search
-        of all offsets allows a long valley, the bias of the events' means decides between its
-        offsets: `joint` was off by up to 14 of its deviations.
+        `start` is the search's estimate. On a circle or helix some pose fits at any offset, though
+        no hypothesis may lead to it; likewise all along an endless valley. Where a search of all
+        offsets allows a long valley, the bias of the events' means decides between its offsets.
         """
         views, rules = self.views, self.views.rules
+        if views.pose_is_known or not estimate.has_offset:
+            return estimate
+        if views.alone.are_uniform:
+            return refused(estimate, uniform())
         of_means = any(isinstance(one, ObjectMotion) for one in views.motions)
         is_clear = start.status == Status.OK and of_means
         is_searched = is_clear or start.status == Status.AMBIGUOUS_OFFSET
-        if views.pose_is_known or not (is_searched and estimate.has_offset):
+        if not is_searched:
             return estimate
         found = valleys(start.candidates_s, start.costs, estimate.t_d_s, rules.search)
         if is_clear:
@@ -153,7 +157,7 @@ class Choice:
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
             return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)
-        if start.status not in SETTLED_BY["joint"]:
+        if start.status not in SETTLED_BY["joint"] or self._is_edge_on():
             return []
         if start.status == Status.AMBIGUOUS_OFFSET:
             offsets_s = _offsets_of_valleys(start, self.views.rules)
@@ -177,6 +181,10 @@ class Choice:
                 poses = poses[: rules.max_poses]
             found += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
         return found
+
+    def _is_edge_on(self) -> bool:
+        """Whether all positions lie on one epipolar line of each view, so that any pose fits."""
+        return not self.views.pose_is_known and self.views.alone.are_straight
 
     def _is_short(self, t_d_s: float) -> bool:
         """Whether the path is too short to tell an offset together with a pose."""

@@ -328,6 +328,12 @@ def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
     return Refusal(Status.AMBIGUOUS_OFFSET, reason) if is_open else None
 
 
+def uniform() -> Refusal:
+    """Refuse the offset of a path that fits itself after any lag."""
+    reason = f"the path fits itself after any delay: a line, circle or helix, {_NOT_ONE}"
+    return Refusal(Status.AMBIGUOUS_OFFSET, reason)
+
+
 def other_offsets(alternatives_s: list[float]) -> str:
     """Give the reason for refusal that names the other offsets [s]."""
     named = ", ".join(f"{offset_s:.3f}" for offset_s in alternatives_s[:5])

@@ -15,8 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from ssac.arrays import Array, Indices, IntArray, Mask
+from ssac.config import MIN_SWINGS
 from ssac.events import no_gaps
 from ssac.geometry.epipolar import robust_deviation
+from ssac.geometry.fundamental import median_after_fit
+from ssac.geometry.pose import homography
 from ssac.rules import BlindRules, ViewRules
 from ssac.track.motion import Motion, ObjectMotion
 
@@ -223,6 +226,31 @@ def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRu
     return np.asarray(step_s * lags[least[is_back[least]]])
 
 
+def is_uniform(motion: Motion, view: View | None, rules: ViewRules) -> bool:
+    """Whether a path fits itself after any lag, as a camera elsewhere would see it.
+
+    This is so of a uniform turn, lift or both: on a circle, helix or line each offset fits, with a
+    pose of its own. A path in a plane is tried by a homography, as it leaves F open; a short one
+    fits anything.
+    """
+    (start_s, end_s), n_samples, least, rounds = motion.span_s, 200, 50, 8
+    is_short = view is not None and view.swing_hz * (end_s - start_s) < MIN_SWINGS
+    if view is None or view.is_straight or is_short:
+        return False
+    for share in rules.uniform_lags:
+        lag_s = share * (end_s - start_s)
+        times_s = np.linspace(start_s, end_s - lag_s, n_samples, dtype=np.float64)
+        here, there = motion.at(times_s), motion.at(times_s + lag_s)
+        both = here.valid & there.valid
+        if np.count_nonzero(both) < least:
+            return False
+        p1, p2 = here.positions_px[both], there.positions_px[both]
+        most_px = rules.max_uniform * view.extent_px
+        if median_after_fit(p1, p2, rounds) > most_px and homography(p1, p2)[1] > most_px:
+            return False
+    return True
+
+
 def local_minima(values: Array) -> Indices:
     """Find the local minima of values (n,) as indices, the least first; NaN counts as infinite."""
     padded = np.pad(np.where(np.isfinite(values), values, np.inf), 1, constant_values=np.inf)
@@ -264,6 +292,12 @@ class Alone:
     def repeats(self) -> bool:
         """Whether camera 1's path repeats itself after any lag."""
         return len(returns_s(self.motions[0], self.views[0], np.inf, self.rules)) > 0
+
+    @cached_property
+    def are_uniform(self) -> bool:
+        """Whether both cameras see a path that fits itself after any lag."""
+        both = zip(self.motions, self.views, strict=True)
+        return all(is_uniform(motion, view, self.rules) for motion, view in both)
 
     @cached_property
     def seen(self) -> tuple[Seen, Seen] | None:

@@ -7,6 +7,7 @@ from ssac.estimate import Estimate
 from tests.ssac.methods.flights import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, events_at, project, rotation_angle_deg
 
+TURN = np.array([0.3, 0.9, 0.5])  # of the box [rad/s]
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
@@ -15,7 +16,7 @@ def corners_m(scene, times_s, size_m):
     # The last corner sticks out, so that the box has no centre of symmetry.
     shape = 0.5 * size_m * CORNERS * [1.0, 0.4, 0.7]
     shape[-1] *= 1.6
-    turns = Rotation.from_rotvec(np.outer(times_s, [0.3, 0.9, 0.5])).as_matrix()
+    turns = Rotation.from_rotvec(np.outer(times_s, TURN)).as_matrix()
     return scene.path(times_s)[:, None] + np.einsum("nij,cj->nci", turns, shape)
 
 

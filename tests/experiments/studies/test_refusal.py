@@ -1,6 +1,7 @@
 """Confident wrong answers, flights that leave unknowns open, and the advice of refusals."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,8 +14,9 @@ from experiments.lab.score import Truth
 from experiments.studies import refusal
 from experiments.studies.refusal import ReasonRow, judged
 from experiments.worlds import open_flights
-from experiments.worlds.open_flights import T_D_S, Cause, OpenCase, Scene
+from experiments.worlds.open_flights import CAUSES, T_D_S, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import KindCell
+from sim.scene.trajectory import Trajectory
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.track.observation import Observation
@@ -116,6 +118,28 @@ def test_a_refusal_names_its_cause_and_its_advice_works(cell: KindCell, cache: C
     assert row.is_named or row.is_right, row.reason
     if row.status != "ok":
         assert row.works, (row.advice, row.then)
+
+
+@pytest.mark.parametrize("index", [7, 10])
+def test_a_helix_is_refused_where_a_search_of_all_offsets_finds_only_one(index: int) -> None:
+    """Bug: these two were 1.4 and 3.5 s off at a stated 3 ms."""
+    cells = [cell for cell in refusal.reason_cells(refusal.BASE) if cell.kind == "helix"]
+    _, row = refusal.said(CAUSES["helix"], Scene(CAUSES["helix"], cells[index], None).made())
+    assert row.is_named, row.reason
+
+
+def test_a_nose_follows_its_course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[Trajectory] = []
+    monkeypatch.setattr(open_flights, "trajectory_to_csv", lambda one, *_: flown.append(one))
+    monkeypatch.setattr(open_flights, "recorded_pair", lambda *_: None)
+    config = open_flights.flight_config("orbit", 90.0)
+    open_flights.flight_of("orbit", config, 5, Cache(tmp_path))
+    times_s, step_s = np.linspace(0.1, 7.9, 40), 1e-4
+    course = flown[0].position(times_s + step_s) - flown[0].position(times_s - step_s)
+    course /= np.linalg.norm(course, axis=1)[:, None]
+    axes = flown[0].attitude(times_s).as_matrix()
+    np.testing.assert_allclose(axes[:, :, 0], course, atol=1e-5)  # differences of 1 ms: 1e-6
+    assert np.ptp(axes[:, :, 2], axis=0).max() < 1e-5  # in one plane
 
 
 def test_a_recording_that_nothing_spoils_is_answered(cache: Cache) -> None:

@@ -71,6 +71,12 @@ def helix(times_s):
     return circle(times_s, rise_m_s=0.25)
 
 
+def edge_on(times_s):
+    """Circle in the plane in which both cameras lie, so that both see a line."""
+    turn = 2.0 * np.pi * times_s / 2.7
+    return MIDDLE + 1.2 * np.stack([np.cos(turn), 0.0 * turn, np.sin(turn)], axis=-1)
+
+
 def planar(times_s):
     flight = make_scene(5, duration_s=DURATION_S).path(times_s) - MIDDLE
     return MIDDLE + 0.8 * flight[..., :2] @ AXES[:2]

@@ -16,7 +16,7 @@ from ssac.geometry.pose import moved_pose, pencils
 from ssac.methods import rigid_body, tangency
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import refine_tangents, tangency_from
+from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
 from ssac.points import PointTrack
 from ssac.rules import PointRules, TangencyRules
 from ssac.search.object_track import ShapedTrack
@@ -27,7 +27,7 @@ from ssac.track.silhouette import Images
 from tests.ssac import box, synthetic
 from tests.ssac.balls import BODY_M, attitudes, drawn_at
 from tests.ssac.cluttered import mixed
-from tests.ssac.methods.flights import CLEAN, DURATION_S, MIDDLE, T_D_S, seen
+from tests.ssac.methods.flights import CLEAN, DURATION_S, MIDDLE, T_D_S, scene_of, seen
 from tests.ssac.synthetic import CAMERA, FOCAL_PX, K, make_scene
 
 SCENE = synthetic.make_scene(0, duration_s=6.0)
@@ -114,6 +114,20 @@ def test_neither_the_start_nor_sparse_samples_matter():
     assert sparse.status == "ok"
     # A quarter of the samples, and only eight corners: four times the tables' goal.
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
+
+
+@pytest.mark.parametrize(("sense", "is_open"), [(1.0, True), (-1.0, False)])
+def test_outlines_tell_the_offset_on_a_circle_unless_the_body_turns_with_it(sense, is_open):
+    """Bug: an offset that nothing tells was 60 ms off at a stated 6."""
+
+    def circling(times_s):
+        turn = Rotation.from_rotvec(sense * np.outer(times_s, box.TURN))
+        return MIDDLE + turn.apply([0.9, -0.1, 0.3])
+
+    scene = scene_of(circling)
+    truth = replace(START, t_d_s=T_D_S, R=scene.R, t=box.unit(scene.t))
+    views = two_views(*box.box_events(scene, 0), scene.unknown_rig, CLEAN)
+    assert leaves_offset_open(truth, views) == is_open
 
 
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():

@@ -161,6 +161,28 @@ def test_straight_is_narrow_beside_its_length_and_beside_the_object():
             assert view_of(motion, rules).is_straight == is_straight
 
 
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "uniform"),
+    [
+        (wave(0.7), wave(0.7, 1.2), True),  # a circle, seen obliquely
+        (wave(0.7), lambda t_s: wave(0.7, 1.2, reach_px=30.0)(t_s) + 8.0 * (t_s - 4.0), True),
+        (wave(0.7), wave(1.1), False),
+        (wave(0.7), lambda t_s: wave(0.7, 1.2)(t_s) + 12.0 * np.sin(t_s), False),
+        (wave(0.7), wave(0.7), False),  # a line says nothing
+    ],
+)
+def test_a_circle_and_a_helix_fit_themselves_after_any_delay(x_px, y_px, uniform):
+    motion = motion_along(x_px, y_px)
+    assert views_of_both(motion, motion).are_uniform == uniform
+    other = motion_along(wave(0.7), wave(1.1))
+    assert not views_of_both(motion, other).are_uniform
+    assert not views_of_both(other, motion).are_uniform
+
+
+def views_of_both(*motions):
+    return TwoViews(*motions, SCENE.rig, Config()).alone
+
+
 def flat(scene: Scene) -> Scene:
     """Return the scene with its path projected into a plane."""
     into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
