@@ -229,7 +229,7 @@ _SPOILS: Mapping[str, Callable[[Kind, Rng, float], tuple[Kind, str]]] = {
 # --- What is said of them ---
 
 BASE, FIRST, N_RECORDINGS = 300, 1962, 600
-"""No choice was made on these before they were run, and some since: the next start at 2562.
+"""No choice was made on these before they were run, and some since: the next start at 2650.
 
 On those before, and bases 1 to 5, 100, 101 and 200, some were made too.
 """
