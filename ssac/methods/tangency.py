@@ -210,7 +210,7 @@ def leaves_offset_open(found: Estimate, views: TwoViews) -> bool:
     does not tell: noise in the tangents' velocities passes for knowledge of the offset, 6 ms for an
     error of 60.
     """
-    if found.R is None or found.t is None or views.pose_is_known:
+    if found.R is None or found.t is None:
         return False
     views, pose = for_blind(views).under(found.clock), (found.R, found.t)
     probe_s = views.rules.tangency.probe_s
@@ -229,7 +229,8 @@ def _misfit_px(parameters: Parameters, views: TwoViews) -> float:
         if len(pairs.times_s) < rules.search.min_pairs:
             return np.inf
         # Without velocities no change of the offset would help.
-        problem = Problem(replace(pairs, v2_px_s=0.0 * pairs.v2_px_s), views.rig, rules.fit)
+        pairs = replace(pairs, v2_px_s=np.zeros_like(pairs.v2_px_s))
+        problem = Problem(pairs, views.rig, rules.fit)
         parameters = solve(problem, parameters, rules.tangency.steps, 0.0).parameters
     return float(np.median(np.abs(linearise(problem, parameters).distances_px)))
 

@@ -234,9 +234,9 @@ def is_uniform(motion: Motion, view: View | None, rules: ViewRules) -> bool:
     fits anything.
     """
     (start_s, end_s), n_samples, least, rounds = motion.span_s, 200, 50, 8
-    is_short = view is not None and view.swing_hz * (end_s - start_s) < MIN_SWINGS
-    if view is None or view.is_straight or is_short:
+    if view is None or view.is_straight or view.swing_hz * (end_s - start_s) < MIN_SWINGS:
         return False
+    most_px = rules.max_uniform * view.extent_px
     for share in rules.uniform_lags:
         lag_s = share * (end_s - start_s)
         times_s = np.linspace(start_s, end_s - lag_s, n_samples, dtype=np.float64)
@@ -245,7 +245,6 @@ def is_uniform(motion: Motion, view: View | None, rules: ViewRules) -> bool:
         if np.count_nonzero(both) < least:
             return False
         p1, p2 = here.positions_px[both], there.positions_px[both]
-        most_px = rules.max_uniform * view.extent_px
         if median_after_fit(p1, p2, rounds) > most_px and homography(p1, p2)[1] > most_px:
             return False
     return True

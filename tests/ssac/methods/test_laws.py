@@ -127,7 +127,7 @@ REFUSED = [  # path, methods, statuses, words of the reason, fields of the confi
     (flights.helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)} | SPARSE),
     # Bug: in so long a valley, which a search of all offsets allows, means were 14 deviations off.
     (flights.helix, ("joint",), MOVING[:1], "", {"interval_s": (-0.2, 0.3), "max_valley_s": 1.0}),
-    # Bug: where one view is as the other was, the line's offset was 675 ms off at a stated 1 ms.
+    # Bug: where one view is as the other was, the line's offset was 675 ms off at a stated 0.2.
     (flights.edge_on, FREE, MOVING[:1], "the same course", {}),
     (flights.edge_on, FREE, MOVING[:1], "", {"search": "all"}),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
