@@ -4,6 +4,7 @@ import logging
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
@@ -119,6 +120,12 @@ def plain(
     lines[:] = "".join([*blocks, *sections]).split("\n")
 
 
+def shallow(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
+    """Limit the navigation to the levels that it has: the theme copies all objects' entries."""
+    toctree = context["toctree"]
+    context["toctree"] = lambda **options: toctree(**{**options, "maxdepth": 2})
+
+
 def take_page(app: Sphinx, error: Exception | None) -> None:
     """Lay the page that the tour wrote beside the tour."""
     page = ROOT / "docs" / "tour" / "report.html"
@@ -151,6 +158,7 @@ def setup(app: Sphinx) -> None:
     """Connect them."""
     app.connect("autodoc-process-signature", short_signature)
     app.connect("build-finished", take_page)
+    app.connect("html-page-context", shallow, priority=400)  # before the theme
     app.connect("builder-inited", write_reference)
     app.connect("source-read", complete)
     app.connect("autodoc-process-docstring", plain, priority=400)
