@@ -293,10 +293,12 @@ def test_outlines_are_seen_over_longer_windows_too_and_means_are_not(events, sta
 
 
 def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recorded, monkeypatch):
-    joint = ssac.sync(*recorded.pair, recorded / "rig.yaml", "joint").estimate
+    # What is asked for is kept, so that nothing else is tried first.
+    asked = Config((-0.1, 0.2), skew_prior_ppm=50.0, choose_object=False, n_min=100)
+    joint = ssac.sync(*recorded.pair, recorded / "rig.yaml", "joint", asked).estimate
     poor = {"status": Status.POOR_FIT, "reason": "a branch", "R": None, "t": None}
     monkeypatch.setattr(tangency, "certain", lambda found, _: replace(found, **poor))
-    result = ssac.sync(*recorded.pair, recorded / "rig.yaml")
+    result = ssac.sync(*recorded.pair, recorded / "rig.yaml", config=asked)
     found, times = result.estimate, RetryRules().start_widened
     assert (found.method, found.status, found.t_d_s) == ("tangency", Status.OK, joint.t_d_s)
     assert_allclose(found.R, joint.R)
@@ -307,7 +309,8 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
     said = "outline fits poorly, and deviations are 2 times as wide: this is the answer of joint"
     assert said in result.to_dict()["note"]
     poor["status"] = Status.CLOCK_JUMP  # tangents tell a jump more surely than their start does
-    assert ssac.sync(*recorded.pair, recorded / "rig.yaml").status == Status.CLOCK_JUMP
+    jumping = ssac.sync(*recorded.pair, recorded / "rig.yaml", config=asked)
+    assert jumping.status == Status.CLOCK_JUMP
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
