@@ -6,7 +6,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssac.errors import SsacError
-from ssac.rules import LineRules, NoiseRules, PointRules, Rules, check_rules, is_number
+from ssac.rules import (
+    DEFAULT_RULES,
+    LineRules,
+    NoiseRules,
+    PointRules,
+    Rules,
+    check_rules,
+    is_number,
+)
 
 N_MIN = 200
 """Least number of events in a window, the paper's N_min."""
@@ -89,7 +97,7 @@ class Config:
     search: str = "auto"  # or "interval"; or "all" offsets that leave enough common time
     rates: Interval | None = None  # of camera 2's clock to search, where a frame rate is unknown
     choose_object: bool = True  # of several, the one that all saw; never where rates are searched
-    rules: Rules = field(default_factory=Rules)  # numbers by which stages decide: see `ssac.rules`
+    rules: Rules = DEFAULT_RULES  # numbers by which stages decide: see `ssac.rules`
 
     def __post_init__(self) -> None:
         for name in ("interval_s", "rates"):  # a file gives them as lists
@@ -184,7 +192,8 @@ def validated(config: Config | None) -> Config:
             raise SsacError(f"{name} must be {need}, got {value!r}")
     if config.clock == "pieces" and not config.prior_ppm:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
-    check_rules(config.rules)
+    if config.rules is not DEFAULT_RULES:  # which hold, and a grid has many cells
+        check_rules(config.rules)
     return config
 
 

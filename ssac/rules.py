@@ -683,6 +683,10 @@ class Rules:
     retry: RetryRules = RetryRules()
 
 
+DEFAULT_RULES = Rules()
+"""Those of every `Config` that is given no others."""
+
+
 def check_rules(rules: object) -> None:
     """Raise SsacError, which names the rule, where one is not of its type or not finite."""
     if not isinstance(rules, Rules):
