@@ -36,7 +36,7 @@ ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> re
 
 studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency oracle
-	@.venv/bin/ssac by-hand --first 1962
+	@.venv/bin/ssac by-hand --first 2650
 
 figures: ## the paper's figures, and those of all studies anew -> results/*.png
 
