@@ -17,7 +17,7 @@ from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Method
 from ssac.methods.verdict import scaled
 from ssac.pipeline.answer import Answer
-from ssac.rules import RetryRules, VerdictRules
+from ssac.rules import DEFAULT_RULES, RetryRules, VerdictRules
 from ssac.track.clean import Clean
 from ssac.track.observation import Observation
 
@@ -149,7 +149,7 @@ def closer_look(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Itera
 
 def _closer(asked: Config) -> Iterator[Config]:
     rules = asked.rules
-    if asked.choose_object and rules.objects == Config().rules.objects:
+    if asked.choose_object and rules.objects == DEFAULT_RULES.objects:
         yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
 
 
