@@ -52,6 +52,8 @@ def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
 
 def count_repeated(is_same: Mask) -> int:
     """Count the items in runs of at least `REPEATED`; is_same (n - 1,): equal to the one before."""
+    if not is_same.any():
+        return 0
     runs = np.diff(np.flatnonzero(~is_same), prepend=-1, append=len(is_same))
     return int(runs[runs >= REPEATED].sum())
 
@@ -95,7 +97,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     n_back = np.count_nonzero(is_back)
     is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # < 0 also on overflow of 64 bits
     n_leaps = np.count_nonzero(~is_back & is_leap)
-    most_back_us = int(np.max(np.maximum.accumulate(t) - t, initial=0))
+    most_back_us = int(np.max(np.maximum.accumulate(t) - t)) if n_back else 0
     if n_back and not n_leaps and most_back_us < 1000:  # the disorder that drivers cause
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
         if not reading.sort:

@@ -117,8 +117,11 @@ def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
     """
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
+        total = 0
+        for time_us in times_us[first[i] : last[i]]:
+            total += time_us - times_us[0]
         if last[i] > first[i]:
-            means[i] = np.sum(times_us[first[i] : last[i]] - times_us[0]) / (last[i] - first[i])
+            means[i] = total / (last[i] - first[i])
     return means
 
 
@@ -135,32 +138,38 @@ def sharp_centres(
     n = len(first)
     centres, sizes = np.empty((n, 2)), np.empty(n)
     counts = np.zeros(0, np.int32)  # events in each cell; all zero between windows
+    most = np.max(last - first) if n else 0
+    # Of one window: each event's cell at the middle, and the first event of each, in their order.
+    columns, rows, firsts = np.empty((3, most + 1), np.int32)
     for i in range(n):
         times, sums = times_us[first[i] : last[i]], position_sums_px[first[i] : last[i] + 1]
-        n_events, middle_us = len(times), middles_us[i]
+        n_events, start_us, middle_us = len(times), times[0], middles_us[i]
         v_x, v_y = velocities[i, 0], velocities[i, 1]
         origin_x = (sums[n_events, 0] - sums[0, 0]) / n_events
         origin_y = (sums[n_events, 1] - sums[0, 1]) / n_events
-        columns, rows = np.empty((2, n_events), np.int32)  # each event's cell at the middle
-        for j in range(n_events):
-            age_us = times[j] - middle_us
+        for j in range(n_events):  # loops of one kind each, and small integers, become vectors
+            age_us = np.float64(start_us) + np.int32(times[j] - start_us) - middle_us
             columns[j] = np.rint(sums[j + 1, 0] - sums[j, 0] - v_x * age_us - origin_x)
             rows[j] = np.rint(sums[j + 1, 1] - sums[j, 1] - v_y * age_us - origin_y)
-        left, top = np.min(columns), np.min(rows)
-        width = np.max(columns) - left + 1
-        if width * (np.max(rows) - top + 1) > len(counts):
-            counts = np.zeros(width * (np.max(rows) - top + 1), np.int32)
-        cells = (rows - top) * width + columns - left
-        firsts = np.empty(n_events + 1, np.int32)  # first event of each cell, in their order
+        left = right = columns[0]
+        top = bottom = rows[0]
+        for j in range(n_events):
+            left, right = min(left, columns[j]), max(right, columns[j])
+            top, bottom = min(top, rows[j]), max(bottom, rows[j])
+        width = right - left + 1
+        if width * (bottom - top + 1) > len(counts):
+            counts = np.zeros(width * (bottom - top + 1), np.int32)
         n_cells = 0
         for j in range(n_events):
+            cell = np.uint64((rows[j] - top) * width + columns[j] - left)  # may not be negative
             firsts[n_cells] = j  # overwritten if it is not the first: no branch to predict
-            n_cells += counts[cells[j]] == 0
-            counts[cells[j]] += 1
+            n_cells += counts[cell] == 0
+            counts[cell] += 1
         total, sum_x, sum_y, sum_squares = 0.0, 0.0, 0.0, 0.0
         for j in firsts[:n_cells]:
-            weight = np.sqrt(counts[cells[j]])
-            counts[cells[j]] = 0
+            cell = np.uint64((rows[j] - top) * width + columns[j] - left)
+            weight = np.sqrt(counts[cell])
+            counts[cell] = 0
             total += weight
             sum_x, sum_y = sum_x + weight * columns[j], sum_y + weight * rows[j]
             sum_squares += weight * (columns[j] ** 2 + rows[j] ** 2)
