@@ -9,6 +9,7 @@ positions are those of `ObjectMotion.sharp_at`, and each residual is weighted by
 images' size.
 """
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -51,11 +52,15 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     """Minimise Cauchy's loss of the Sampson distances, from an offset and a pose.
 
     A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
-    is a `t_d_std_s` but no `covariance`.
+    is a `t_d_std_s` but no `covariance`. The views keep what was refined: where `joint` refuses,
+    `tangency` begins with the same starts.
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    return _OfPositions(start, views).estimate(start.R, start.t)
+    of_start = pickle.dumps(replace(start, method="", start=None))
+    if of_start not in views.refined:
+        views.refined[of_start] = _OfPositions(start, views).estimate(start.R, start.t)
+    return replace(views.refined[of_start], method=start.method, start=start.start)
 
 
 class _OfPositions(Refinement):

@@ -350,12 +350,10 @@ class Chain:
 
     def _by(self, method: Method, pair: _Pair) -> Estimate:
         """Return the estimate of a method for two cameras, from the cache if it is there."""
-        config, rig, pose = pair.config, pair.rig, pair.rig.T_2_1
+        config = pair.config
         if method.input is Input.TRACKS and not method.starts_from and method.runs:
             config = config.searching
-        stds_px = rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px
-        of_rig = stds_px, None if pose is None else pose.tobytes()  # its cameras are those of all
-        key = "estimate", method, _ids(pair.seen), of_rig, config
+        key = "estimate", method, _ids(pair.seen), _of_rig(pair.rig), config
         return self._once(key, lambda: self._found(method, pair), pair.seen)
 
     def _found(self, method: Method, pair: _Pair) -> Estimate:
@@ -364,10 +362,14 @@ class Chain:
         if method.input is not Input.TRACKS:
             return method.function(*pair.seen, pair.config)
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
-        # The pair's intrinsics may be less certain, and its pose holds where there is one.
-        views = replace(views, rig=pair.rig, pose_is_known=method.needs_extrinsics)
-        if len(self) > 2:  # a network follows a body in all of its cameras together
-            views = replace(views, cleans=None)
+        # The pair's intrinsics may be less certain, and its pose holds where there is one. A
+        # network follows a body in all of its cameras together.
+        posed, cleans = method.needs_extrinsics, None if len(self) > 2 else views.cleans
+        views = self._once(
+            ("views", _ids(pair.seen), _of_rig(pair.rig), pair.config, posed),
+            lambda: replace(views, rig=pair.rig, pose_is_known=posed, cleans=cleans),
+            pair.seen,
+        )
         if not method.starts_from:
             return method.function(views)
         return method.function(self._by(choose_method(method.starts_from), pair), views)
@@ -508,6 +510,12 @@ class Chain:
 
 def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:
     return id(cleans[0]), id(cleans[1])
+
+
+def _of_rig(rig: Rig) -> Hashable:
+    """Return what may differ between a chain's rigs of two of its cameras."""
+    stds_px = rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px
+    return stds_px, None if rig.T_2_1 is None else rig.T_2_1.tobytes()
 
 
 def one_thread() -> AbstractContextManager[Any]:

@@ -80,6 +80,7 @@ class TwoViews:
     clock: Clock = field(default_factory=Clock)  # of camera 2, without the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
     cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # that the motions are of
+    refined: dict[bytes, Estimate] = field(default_factory=dict, init=False, repr=False)  # by start
 
     def under(self, clock: Clock) -> "TwoViews":
         """Return the same views with the skew and the strays of a clock, but not its offset."""
