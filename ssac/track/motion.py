@@ -25,6 +25,7 @@ from ssac.track.clean import Clean
 from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
     HALF_US,
+    TIMES_BITS,
     local_parabolas_at,
     mean_times_us,
     sharp_centres,
@@ -83,6 +84,7 @@ class ObjectMotion:
     times_us: IntArray  # (n,) [us], sorted
     position_sums_px: Array  # (n + 1, 2) of undistorted coordinates [px]
     border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
+    time_sums_us: IntArray  # [us] of times since the first, before every 2**TIMES_BITS-th event
     slice_bits: int  # the recording is cut into slices of 2**slice_bits us
     slice_starts: NDArray[np.int32]  # (s + 1,) index of the first event in each slice, then n
     half_window_s: float = 0.020  # [s] on each side of a sample time
@@ -198,7 +200,8 @@ class ObjectMotion:
 
     def _mean_times(self, first: Indices, last: Indices) -> Array:
         """Mean time (...,) [s], counted from the first event, of the same events."""
-        means_us = mean_times_us(self.times_us, first.ravel(), last.ravel())
+        sums_us = self.times_us, self.time_sums_us
+        means_us = mean_times_us(*sums_us, first.ravel(), last.ravel())
         return means_us.reshape(first.shape) * 1e-6
 
 
@@ -221,8 +224,9 @@ def object_motion(
     n, (slice_bits, n_slices) = len(events), _slices(events["t"])
     times_us, position_sums_px = np.empty(n, np.int64), np.empty((n + 1, 2))
     border_sums, slice_starts = np.empty(n + 1, np.int32), np.zeros(n_slices + 1, np.int32)
+    time_sums_us = np.empty((n >> TIMES_BITS) + 2, np.int64)
     border = camera.width, camera.height, border_px
-    sums = times_us, position_sums_px, border_sums
+    sums = times_us, position_sums_px, border_sums, time_sums_us
     sum_up(events["t"], events["x"], events["y"], ideal, border, slice_bits, *sums, slice_starts)
     return ObjectMotion(*sums, slice_bits, slice_starts, n_min=n_min)
 

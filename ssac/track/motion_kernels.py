@@ -15,6 +15,10 @@ TIE_US = 1e-3
 """A tolerance far above rounding errors of times in seconds, far below the step of even samples:
 to which microsecond or event a time half-way is rounded must not depend on the clock's zero."""
 
+TIMES_BITS = 6
+"""Sums of times are kept at every 2**TIMES_BITS-th event: at each they would take half as much
+memory as the events."""
+
 HALF_US = 0.5 + TIE_US
 """Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
 
@@ -30,6 +34,7 @@ def sum_up(
     times_us: IntArray,
     position_sums_px: Array,
     border_sums: Starts,
+    time_sums_us: IntArray,
     slice_starts: Starts,
 ) -> None:
     """Fill in the arrays of an `ObjectMotion` in one pass over n events.
@@ -40,8 +45,8 @@ def sum_up(
     does not: the first access to small pages takes as long as all else here.
     """
     width, height, border_px = border
-    sum_x, sum_y, n_on_border = 0.0, 0.0, 0
-    position_sums_px[0, 0] = position_sums_px[0, 1] = border_sums[0] = 0
+    sum_x, sum_y, n_on_border, sum_us = 0.0, 0.0, 0, 0
+    position_sums_px[0, 0] = position_sums_px[0, 1] = border_sums[0] = time_sums_us[0] = 0
     for i in range(len(t)):
         column, row = np.int64(x[i]), np.int64(y[i])
         if ideal is None:
@@ -52,7 +57,9 @@ def sum_up(
         n_on_border += bool(min(column, row, width - 1 - column, height - 1 - row) < border_px)
         border_sums[i + 1] = n_on_border
         times_us[i] = t[i]
-        slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # its last event writes last
+        sum_us += t[i] - t[0]
+        time_sums_us[(i >> TIMES_BITS) + 1] = sum_us  # a block's last event writes last
+        slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # and a slice's
     for k in range(1, len(slice_starts)):  # fills slices without events
         slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
 
@@ -109,20 +116,26 @@ def window_sums(
 
 
 @numba.njit(cache=True)
-def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
-    """Mean (n,) [us] of times from `first` up to `last`, since the first of all; NaN of none.
-
-    Not by cumulative sums, as positions are: these means are few, and the sums would take half as
-    much memory as the events.
-    """
+def mean_times_us(
+    times_us: IntArray, time_sums_us: IntArray, first: Indices, last: Indices
+) -> Array:
+    """Mean (n,) [us] of times from `first` up to `last`, since the first of all; NaN of none."""
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
-        total = 0
-        for time_us in times_us[first[i] : last[i]]:
-            total += time_us - times_us[0]
         if last[i] > first[i]:
+            total = _time_sum_us(times_us, time_sums_us, last[i])
+            total -= _time_sum_us(times_us, time_sums_us, first[i])
             means[i] = total / (last[i] - first[i])
     return means
+
+
+@numba.njit(cache=True)
+def _time_sum_us(times_us: IntArray, time_sums_us: IntArray, n: int) -> int:
+    """Sum [us] of the first n times, since the first of all."""
+    total = int(time_sums_us[n >> TIMES_BITS])
+    for time_us in times_us[n >> TIMES_BITS << TIMES_BITS : n]:
+        total += time_us - times_us[0]
+    return total
 
 
 @numba.njit(cache=True)
