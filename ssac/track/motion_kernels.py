@@ -160,7 +160,7 @@ def sharp_centres(
         v_x, v_y = velocities[i, 0], velocities[i, 1]
         origin_x = (sums[n_events, 0] - sums[0, 0]) / n_events
         origin_y = (sums[n_events, 1] - sums[0, 1]) / n_events
-        for j in range(n_events):  # loops of one kind each, and small integers, become vectors
+        for j in range(n_events):  # loops of one kind each, and ages under 2**31 us, become vectors
             age_us = np.float64(start_us) + np.int32(times[j] - start_us) - middle_us
             columns[j] = np.rint(sums[j + 1, 0] - sums[j, 0] - v_x * age_us - origin_x)
             rows[j] = np.rint(sums[j + 1, 1] - sums[j, 1] - v_y * age_us - origin_y)
