@@ -1,7 +1,8 @@
 """How true the default recordings are: the same flights against another rendering.
 
 `fidelity` compares with a far denser one, on the flights 200, 201, ... of each duration at 90 deg.
-`renderers` compares both renderers, on the tables' first flights of each duration and angle.
+`renderers` compares both renderers, on the tables' first flights of each duration and angle; its
+`tangency` is without a body.
 """
 
 from collections.abc import Sequence

@@ -366,7 +366,7 @@ class Chain:
         # network follows a body in all of its cameras together.
         posed, cleans = method.needs_extrinsics, None if len(self) > 2 else views.cleans
         views = self._once(
-            ("views", _ids(pair.seen), _of_rig(pair.rig), pair.config, posed),
+            ("given", _ids(pair.seen), _of_rig(pair.rig), pair.config, posed),
             lambda: replace(views, rig=pair.rig, pose_is_known=posed, cleans=cleans),
             pair.seen,
         )

@@ -15,12 +15,12 @@ TIE_US = 1e-3
 """A tolerance far above rounding errors of times in seconds, far below the step of even samples:
 to which microsecond or event a time half-way is rounded must not depend on the clock's zero."""
 
+HALF_US = 0.5 + TIE_US
+"""Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
+
 TIMES_BITS = 6
 """Sums of times are kept at every 2**TIMES_BITS-th event: at each they would take half as much
 memory as the events."""
-
-HALF_US = 0.5 + TIE_US
-"""Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
 
 
 @numba.njit(cache=True)
