@@ -3,6 +3,7 @@
 A command is imported when it is called: `ssac --help` and shell completion import none of them.
 """
 
+import atexit
 import difflib
 import gc
 import os
@@ -73,9 +74,11 @@ def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
 def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
     """Run a command line; return its exit code, wrong usage being one line on stderr."""
     # BLAS starts no threads at its import, as sums depend on the number of threads. Imports make
-    # 230,000 objects, those for figures 350,000: to search them for garbage takes 0.13 s.
+    # 230,000 objects, those for figures 350,000. To search them for garbage takes 0.13 s, which
+    # Python would do several times at its end, when all memory is freed anyway.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(400_000)
+    atexit.register(gc.freeze)
     try:
         return get_command(app).main(list(args), program, standalone_mode=False) or 0
     except typer.TyperException as error:
