@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 
-from ssac.arrays import Events, Mask
+from ssac.arrays import Events, IntArray, Mask, Pixels
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events
 
@@ -70,10 +71,9 @@ def checked_file(
     SsacError for signs of damage that are not allowed, and if there are no events. Repeated events
     are no sign of damage in text, whose times may be rounded.
     """
-    t = np.ascontiguousarray(events["t"])
-    is_odd = np.any(t[1:] < t[:-1]) or np.any(t[REPEATED - 1 :] == t[: 1 - REPEATED])
-    if is_odd or (len(t) and int(t[-1]) - int(t[0]) > _LONGEST_GAP_US):
-        events = _in_order(events, path, reading, is_text)
+    disorder = _disorder(events["t"], events["x"], events["y"])
+    if any(disorder):
+        events = _in_order(events, disorder, path, reading, is_text)
     if reading.allow_damaged:
         is_inside = events["p"] <= 1
         for field, size in zip("xy", size_px, strict=True):
@@ -90,14 +90,35 @@ def checked_file(
     return EventFile(events, *size_px)
 
 
-def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Events:
+@numba.njit(cache=True)
+def _disorder(t: IntArray, x: Pixels, y: Pixels) -> tuple[int, int, int, int]:
+    """Count steps back in time, the furthest [us], leaps ahead, and events that are repeated."""
+    n_back = most_back_us = n_leaps = n_repeated = 0
+    latest_us, n_same = t[:1].sum(), 1
+    for i in range(1, len(t)):
+        step_us = t[i] - t[i - 1]
+        if t[i] < t[i - 1]:
+            n_back += 1
+            most_back_us = max(most_back_us, latest_us - t[i])
+        elif step_us > _LONGEST_GAP_US or step_us < 0:  # < 0 on overflow of 64 bits
+            n_leaps += 1
+        latest_us = max(latest_us, t[i])
+        n_same = n_same + 1 if step_us == 0 and x[i] == x[i - 1] and y[i] == y[i - 1] else 1
+        if n_same >= REPEATED:
+            n_repeated += REPEATED if n_same == REPEATED else 1
+    return n_back, most_back_us, n_leaps, n_repeated
+
+
+def _in_order(
+    events: Events,
+    disorder: tuple[int, int, int, int],
+    path: Path,
+    reading: Reading,
+    is_text: bool,
+) -> Events:
     """Sort or cut events whose times run back or leap; look for repeated events."""
-    t, x, y = (events[field] for field in "txy")
-    steps_us, is_back = np.diff(t), t[1:] < t[:-1]
-    n_back = np.count_nonzero(is_back)
-    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # < 0 also on overflow of 64 bits
-    n_leaps = np.count_nonzero(~is_back & is_leap)
-    most_back_us = int(np.max(np.maximum.accumulate(t) - t)) if n_back else 0
+    n_back, most_back_us, n_leaps, n_repeated = disorder
+    t = events["t"]
     if n_back and not n_leaps and most_back_us < 1000:  # the disorder that drivers cause
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
         if not reading.sort:
@@ -112,13 +133,14 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     signs: list[str] = []
     if n_leaps:
         signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
-    n_repeated = count_repeated((steps_us == 0) & (x[1:] == x[:-1]) & (y[1:] == y[:-1]))
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:
         kept = events
         if reading.allow_damaged:  # the part with the most events and no leap or step back
-            kept = max(np.split(events, np.flatnonzero(is_back | is_leap) + 1), key=len)
+            steps_us, is_back = np.diff(t), t[1:] < t[:-1]
+            is_cut = is_back | (steps_us > _LONGEST_GAP_US) | (steps_us < 0)
+            kept = max(np.split(events, np.flatnonzero(is_cut) + 1), key=len)
         lost = len(events) - len(kept)
         if lost:
             signs.append(
