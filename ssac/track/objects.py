@@ -8,11 +8,12 @@ such as a branch in the wind, are left out.
 
 from dataclasses import dataclass, field, replace
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label, minimum_filter
 
-from ssac.arrays import Array, Events, IntArray, Mask
+from ssac.arrays import Array, Events, IntArray, Mask, Pixels
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
 from ssac.rules import ObjectRules
@@ -69,6 +70,9 @@ def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
     if len(events) == 0:
         return False
     cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us, rules.look_every)
+    events = np.concatenate([events[first:last] for first, last in bounds])
+    ends = np.cumsum(bounds[:, 1] - bounds[:, 0])
+    bounds = np.column_stack([np.append(0, ends[:-1]), ends])
     blobs, *_ = _blobs(events, bounds, cells, rules)
     n_things = _things(blobs, len(bounds), cells.size_px, rules)
     return bool(np.mean(n_things > 1) > rules.several_share)
@@ -129,19 +133,30 @@ def _blobs(
     kept = counts >= rules.least_blob_events
     bins, at_still, n = bins[kept], at_still[kept], counts[kept].astype(np.float64)
     labels = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)[labels]
-    own = np.flatnonzero(labels >= 0)
-    of_blob, places = labels[own], [events[axis][own].astype(np.float64) for axis in ("x", "y")]
-    x, y, squares = (
-        np.bincount(of_blob, one, minlength=len(n)) / n
-        for one in (*places, np.square(places).sum(axis=0))
-    )
-    corners = np.full((len(n), 4), np.inf)
-    corners[:, 2:] = -np.inf
-    for axis, one in enumerate(places):
-        np.minimum.at(corners[:, axis], of_blob, one)
-        np.maximum.at(corners[:, 2 + axis], of_blob, one)
+    sums, corners = _shapes(labels, events["x"], events["y"], len(n))
+    x, y, squares = sums / n
     sizes = np.sqrt(np.maximum(squares - x**2 - y**2, 0.0))
     return Blobs(bins, n, np.column_stack([x, y]), sizes, corners, at_still), labels, n_full
+
+
+@numba.njit(cache=True)
+def _shapes(labels: Labels, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, Array]:
+    """Sum up x, y and their squares (3, k) [px] of each blob's events; find its corners (k, 4)."""
+    sums, corners = np.zeros((3, n_blobs)), np.empty((n_blobs, 4))
+    corners[:, :2], corners[:, 2:] = np.inf, -np.inf
+    for i in range(len(labels)):
+        k = labels[i]
+        if k < 0:
+            continue
+        u, v = float(x[i]), float(y[i])
+        sums[0, k], sums[1, k], sums[2, k] = (
+            sums[0, k] + u,
+            sums[1, k] + v,
+            sums[2, k] + u**2 + v**2,
+        )
+        corners[k, 0], corners[k, 1] = min(corners[k, 0], u), min(corners[k, 1], v)
+        corners[k, 2], corners[k, 3] = max(corners[k, 2], u), max(corners[k, 3], v)
+    return sums, corners
 
 
 def _labelled(
