@@ -19,7 +19,7 @@ import numpy as np
 from ssac.arrays import Array, IntArray
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
-from ssac.geometry.epipolar import compiled_terms, sampson_distance
+from ssac.geometry.epipolar import compiled_terms
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import Rules
 from ssac.search.all_offsets import Grid
@@ -117,7 +117,7 @@ class _Matching:
         lengths = np.array([len(p1) for _, _, p1, _ in together])
         if np.sum(lengths) < match.least_pairs:
             return None
-        at = [np.linspace(0, n - 1, match.points).astype(np.int64) for n in lengths]
+        at = np.linspace(0, lengths - 1, match.points, axis=1).astype(np.int64)
         x1, T1 = _centred(np.stack([p1[k] for k, (_, _, p1, _) in zip(at, together, strict=True)]))
         x2, T2 = _centred(np.stack([p2[k] for k, (_, _, _, p2) in zip(at, together, strict=True)]))
         h1, h2 = (np.insert(x, 2, 1.0, axis=-1) for x in (x1, x2))
@@ -214,21 +214,26 @@ class _Matching:
 
 
 @numba.njit(cache=True, error_model="numpy")  # both epipoles give 0 / 0
+def _median_distance(F: Array, x1: Array, x2: Array) -> float:
+    """Median Sampson distance of pairs (n, 2) from F (9,)."""
+    distances = np.empty(len(x1))
+    for i in range(len(x1)):
+        product, a2, b2, a1, b1 = compiled_terms(F, x1[i, 0], x1[i, 1], x2[i, 0], x2[i, 1])
+        distances[i] = abs(product) / np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
+    return float(np.median(distances))
+
+
+@numba.njit(cache=True)
 def _most_borne_out(
     Fs: Array, x1: Array, x2: Array, limits: Array, lengths: IntArray, places: IntArray
 ) -> tuple[float, Array]:
     """Return how long pieces of camera 1 bear out the best of Fs (m, 9), and that F."""
-    n_pairs, n_points = x1.shape[:2]
-    distances, best, best_F = np.empty(n_points), 0.0, np.zeros(9)
+    best, best_F = 0.0, np.zeros(9)
     longest = np.empty(int(np.max(places)) + 1)  # at a time, a piece matches one of the other view
     for F in Fs:
         longest[:] = 0.0
-        for k in range(n_pairs):
-            for i in range(n_points):
-                u1, v1, u2, v2 = x1[k, i, 0], x1[k, i, 1], x2[k, i, 0], x2[k, i, 1]
-                product, a2, b2, a1, b1 = compiled_terms(F, u1, v1, u2, v2)
-                distances[i] = abs(product) / np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
-            if np.median(distances) < limits[k]:
+        for k in range(len(x1)):
+            if _median_distance(F, x1[k], x2[k]) < limits[k]:
                 longest[places[k]] = max(longest[places[k]], lengths[k])
         if np.sum(longest) > best:
             best, best_F = np.sum(longest), F
@@ -257,7 +262,7 @@ def _centred(p_px: Array) -> tuple[Array, Array]:
 
 def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:
     """Median Sampson distance [px] of pairs (n, 2) from F."""
-    return float(np.median(np.abs(sampson_distance(F, p1_px, p2_px))))
+    return _median_distance(F.ravel(), p1_px, p2_px)
 
 
 def _meet(one: Piece, other: Piece) -> bool:
