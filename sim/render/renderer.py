@@ -120,7 +120,8 @@ class Renderer:
             here = np.flatnonzero(np.isin(batch, checked))
             if len(here):
                 self._compare(camera, views, here, corner_px, background, luminance)
-            yield Crops(views.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
+            x0_px, y0_px = np.ascontiguousarray(corner_px.T)  # else kernels are compiled twice
+            yield Crops(views.times_s, x0_px, y0_px, luminance)
 
     def _size_of_batch(self, boxes: IntArray) -> int:
         """Return how many of the next instants to paint at a time, in crops of one size."""
