@@ -212,13 +212,13 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
         value -= column.at
         p1, p2 = p1 + value * column.dp1_px, p2 + value * column.dp2_px
     F = epipolar.fundamental_from_pose(K1, K2, R, t)
-    by_columns = [
-        epipolar.sampson_derivative(F.T, p2, p1, column.dp1_px)
-        + epipolar.sampson_derivative(F, p1, p2, column.dp2_px)
-        for column in problem.columns
-    ]
-    by_offset = epipolar.sampson_derivative(F, p1, p2, pairs.v2_px_s)
-    jacobian = np.column_stack([by_offset, pose_jacobian(R, t, K1, K2, p1, p2, F), *by_columns])
+    dp2 = np.stack([pairs.v2_px_s, *(column.dp2_px for column in problem.columns)])
+    by_others = epipolar.sampson_derivative(F, p1, p2, dp2)
+    if problem.columns:
+        dp1 = np.stack([column.dp1_px for column in problem.columns])
+        by_others[1:] += epipolar.sampson_derivative(F.T, p2, p1, dp1)
+    by_pose = pose_jacobian(R, t, K1, K2, p1, p2, F)
+    jacobian = np.column_stack([by_others[0], by_pose, by_others[1:].T])
     jacobian = pairs.weights[:, None] * jacobian
     distances_px = pairs.weights * epipolar.sampson_distance(F, p1, p2)
     return Residuals(problem, parameters, F, p1, p2, distances_px, jacobian)

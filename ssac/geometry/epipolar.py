@@ -5,6 +5,7 @@ p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 import numba
@@ -46,7 +47,13 @@ def fundamental_from_pose(K1: Array, K2: Array, R: Array, t: Array) -> Array:
 
 def fundamental_from_essential(E: Array, K1: Array, K2: Array) -> Array:
     """F = K2^-T E K1^-1; linear in E (..., 3, 3), so it also takes dE to dF."""
-    return np.asarray(np.linalg.inv(K2).T @ E @ np.linalg.inv(K1))
+    inverse1, inverse2 = (_inverse(np.asarray(K, np.float64).tobytes()) for K in (K1, K2))
+    return np.asarray(inverse2.T @ E @ inverse1)
+
+
+@lru_cache  # a refinement asks for the same two at each of thousands of steps
+def _inverse(K: bytes) -> Array:
+    return np.asarray(np.linalg.inv(np.frombuffer(K, np.float64).reshape(3, 3)))
 
 
 def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
@@ -88,14 +95,15 @@ def sampson_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
     They are p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma in all four
     coordinates gives distances of deviation sigma.
     """
-    products, *gradients = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
-    return np.asarray(products / np.linalg.norm(np.stack(gradients), axis=0))
+    p1, p2 = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
+    return np.asarray(distances_of(F.ravel(), p1, p2))
 
 
 def sampson_derivative(F: Array, p1_px: Array, p2_px: Array, dp2_px: Array) -> Array:
-    """Differentiate `sampson_distance` (N,), with p2 moving at the rate dp2 (N, 2)."""
-    points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
-    return np.asarray(_derivatives(F.ravel(), *points))
+    """Differentiate `sampson_distance` (..., N), with p2 moving at the rates dp2 (..., N, 2)."""
+    rates = np.ascontiguousarray(dp2_px).reshape(-1, len(p2_px), 2)
+    p1, p2 = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
+    return np.asarray(_derivatives(F.ravel(), p1, p2, rates).reshape(dp2_px.shape[:-1]))
 
 
 def sampson_gradient(F: Array, p1_px: Array, p2_px: Array) -> Array:
@@ -110,17 +118,29 @@ compiled_terms: Callable[..., tuple[float, float, float, float, float]] = numba.
 
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
-def _derivatives(f: Array, p1: Array, p2: Array, dp2: Array) -> Array:
+def distances_of(f: Array, p1: Array, p2: Array) -> Array:
+    """Return `sampson_distance` (n,) for the nine entries of F; also for other kernels."""
     found = np.empty(len(p1))
     for i in range(len(p1)):
-        u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
+        product, a2, b2, a1, b1 = compiled_terms(f, p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1])
+        found[i] = product / np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _derivatives(f: Array, p1: Array, p2: Array, rates: Array) -> Array:
+    found = np.empty(rates.shape[:2])
+    for i in range(len(p1)):
+        u1, v1, u2, v2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1]
         product, a2, b2, a1, b1 = compiled_terms(f, u1, v1, u2, v2)
-        d_product = a2 * du2 + b2 * dv2
-        d_a1 = f[0] * du2 + f[3] * dv2
-        d_b1 = f[1] * du2 + f[4] * dv2
         norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
-        d_norm = (a1 * d_a1 + b1 * d_b1) / norm
-        found[i] = (d_product - product / norm * d_norm) / norm
+        for k in range(len(rates)):
+            du2, dv2 = rates[k, i, 0], rates[k, i, 1]
+            d_product = a2 * du2 + b2 * dv2
+            d_a1 = f[0] * du2 + f[3] * dv2
+            d_b1 = f[1] * du2 + f[4] * dv2
+            d_norm = (a1 * d_a1 + b1 * d_b1) / norm
+            found[k, i] = (d_product - product / norm * d_norm) / norm
     return found
 
 

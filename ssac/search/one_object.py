@@ -19,7 +19,7 @@ import numpy as np
 from ssac.arrays import Array, IntArray
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
-from ssac.geometry.epipolar import compiled_terms
+from ssac.geometry.epipolar import distances_of
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import Rules
 from ssac.search.all_offsets import Grid
@@ -213,14 +213,10 @@ class _Matching:
         return best
 
 
-@numba.njit(cache=True, error_model="numpy")  # both epipoles give 0 / 0
+@numba.njit(cache=True)
 def _median_distance(F: Array, x1: Array, x2: Array) -> float:
     """Median Sampson distance of pairs (n, 2) from F (9,)."""
-    distances = np.empty(len(x1))
-    for i in range(len(x1)):
-        product, a2, b2, a1, b1 = compiled_terms(F, x1[i, 0], x1[i, 1], x2[i, 0], x2[i, 1])
-        distances[i] = abs(product) / np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
-    return float(np.median(distances))
+    return float(np.median(np.abs(distances_of(F, x1, x2))))
 
 
 @numba.njit(cache=True)
