@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import gmean, norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from experiments.paper.esim import DURATIONS_S, R_ERROR, T_D_ERROR, T_ERROR
 from ssac.arrays import Array
@@ -127,7 +126,7 @@ def difference_interval(
         variance1, variance2 = std1**2 / (n1 - 1), std2**2 / (n2 - 1)  # of the means
         total = variance1 + variance2
         freedom = 1.0 / ((variance1 / total) ** 2 / (n1 - 1) + (variance2 / total) ** 2 / (n2 - 1))
-        half_width = student.ppf(0.5 + confidence / 2, freedom) * np.sqrt(total)
+        half_width = stdtrit(freedom, 0.5 + confidence / 2) * np.sqrt(total)
     half_width = np.where(total > 0.0, half_width, 0.0)
     half_width += resolution / 2
     difference = np.where(known, mean1 - mean2, np.nan)
@@ -249,13 +248,13 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
                 "duration_s": duration_s,
                 "cells": len(part),
                 **{word: int((part["verdict"] == word).sum()) for word in VERDICTS},
-                "ratio": gmean(ratios),
+                "ratio": np.exp(np.log(ratios).mean()),
                 "factor": ratio_factor(part),
                 "ratio_min": ratios.min(),
                 "ratio_max": ratios.max(),
                 "visible": (half_widths / published).median(),
                 **{f"first_{w}": int((part["first_verdict"] == w).sum()) for w in VERDICTS},
-                "first_ratio": gmean(first_ratios),
+                "first_ratio": np.exp(np.log(first_ratios).mean()),
                 "first_factor": ratio_factor(part, ("published", "first")),
                 "changed": int((part["verdict"] != part["first_verdict"]).sum()),
                 "factor_paper": ratio_factor(part, ("published",)),
@@ -282,4 +281,4 @@ def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours"
             float(of_angle.to_numpy(np.float64).sum()) ** 2
             for _, of_angle in errors.groupby(part["angle_deg"])
         )
-    return float(np.exp(norm.ppf(0.975) * np.sqrt(variance) / len(part)))
+    return float(np.exp(ndtri(0.975) * np.sqrt(variance) / len(part)))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from experiments.drawing.errors import ablation_figure
 from experiments.drawing.style import Figure, legend_outside, mark_survivors, panels
@@ -130,7 +130,7 @@ def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
     """Mean of an error with its interval, and the median."""
     values: Any = column.dropna()
     mean, freedom = values.mean(), len(values) - 1
-    half = float(student.ppf(0.5 + 0.5 * LEVEL, freedom)) * values.sem()
+    half = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL)) * values.sem()
     return {"mean": mean, "low": mean - half, "high": mean + half, "median": values.median()}
 
 

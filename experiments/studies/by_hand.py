@@ -21,7 +21,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtr
 
 from experiments.drawing.style import FILLS, Figure, panels
 from experiments.lab.cache import Cache
@@ -348,7 +348,7 @@ def hand_row(cell: HandCell, tried: Tried) -> HandRow:
 
 def beyond(runs: pd.DataFrame) -> dict[str, Mask]:
     """Tell of t_d, R and t whether they are given and over `MAX_SIGMAS` deviations off."""
-    most = chi2.cdf(MAX_SIGMAS**2, 1)  # of several angles together one that is as improbable
+    most = chdtr(1, MAX_SIGMAS**2)  # of several angles together one that is as improbable
     return {name: one.levels(runs) > most for name, one in HELD.items()}
 
 

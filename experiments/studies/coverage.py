@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest, chi2
+from scipy.special import betaincinv, chdtr
 
 from experiments.drawing.style import Axes, Figure, legend_outside, method_looks, panels
 from experiments.lab.grid import named_config
@@ -99,14 +99,16 @@ def confidence(normalised: Array, parameters: int) -> Array:
     `normalised` (n,) are errors over deviations, or Mahalanobis distances of so many parameters;
     levels are uniform if the deviations are right.
     """
-    return np.asarray(chi2.cdf(np.square(normalised), parameters))
+    return np.asarray(chdtr(parameters, np.square(normalised)))
 
 
 @cache
 def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
     """Return Clopper and Pearson's bounds of a share that is observed as `n_inside` of `n_runs`."""
-    bounds = binomtest(n_inside, n_runs).proportion_ci(SAMPLING)
-    return float(bounds.low), float(bounds.high)
+    n_outside, tail = n_runs - n_inside, 0.5 * (1.0 - SAMPLING)
+    low = betaincinv(n_inside, n_outside + 1, tail) if n_inside else 0.0
+    high = betaincinv(n_inside + 1, n_outside, 1.0 - tail) if n_outside else 1.0
+    return float(low), float(high)
 
 
 def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtr
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, RunRow
@@ -207,7 +207,7 @@ def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[s
         levels = quantity.levels(runs)
         counts[f"{name}_given"] = int(np.isfinite(levels).sum())
         counts[f"{name}_held"] = int(np.sum(levels <= LEVEL))
-        wrong |= levels > chi2.cdf(MAX_SIGMAS**2, 1)
+        wrong |= levels > chdtr(1, MAX_SIGMAS**2)
     return counts, wrong
 
 
