@@ -140,12 +140,12 @@ def png_bytes(figure: "Figure") -> bytes:
     from PIL import Image
 
     whole, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
-    whole.seek(0)
-    with Image.open(whole) as image:
-        # No dithering: its specks look like data.
-        reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
-        reduced.save(small, format="PNG", optimize=True)
+    figure.savefig(whole, format="rgba", dpi=DPI)
+    width, height = (int(DPI * inches) for inches in figure.get_size_inches())
+    image = Image.frombytes("RGBA", (width, height), whole.getvalue())
+    # No dithering: its specks look like data.
+    reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
+    reduced.save(small, format="PNG", optimize=True)
     return small.getvalue()
 
 
