@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.results import Results, csv_text, save_text
 from experiments.studies import fidelity
 from sim.recording import SimConfig
 from sim.sensor.kernels import EVENT_DTYPE
@@ -56,3 +57,11 @@ def test_the_reference_is_denser_and_renderers_are_compared_on_the_same_flights(
         assert render == replace(cell.sim.render, renderer="pyrender") != cell.sim.render
         assert cell.estimator is not None
         assert not cell.estimator.rules.tangency.joins_body
+
+
+def test_a_mark_that_is_missed_at_one_duration_is_named(tmp_path) -> None:
+    table = pd.DataFrame({column: [most, 0.5 * most] for column, most in fidelity.MARKS.items()})
+    for missed, said in (([], "met"), (["spurious"], "**not met** (spurious)")):
+        table.loc[1, missed] = 0.06
+        save_text(tmp_path / "fidelity.csv", csv_text(table))
+        assert fidelity.verdict(Results(tmp_path)) == said
