@@ -29,7 +29,7 @@ setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the ot
 
 demo: ## simulate two cameras, recover offset and pose, write a report (a minute) -> out/demo
 
-tables: ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
+tables: ## the paper's simulation tables, 300 recordings (half an hour from nothing) -> results/esim_*.csv
 
 ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
