@@ -90,13 +90,31 @@ def test_an_aedat4_header_takes_no_memory_by_its_size_and_its_xml_must_be_parsed
 
 def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
     mixed = random_events(N)
-    mixed["t"][1:] -= np.where(np.arange(1, N) % 2, 400, 0)  # neighbours change places
-    expected = mixed[np.argsort(mixed["t"], kind="stable")]
+    mixed["t"][1:] -= 400 * (np.arange(1, N) % 3)  # neighbours and their neighbours change places
+    expected, latest = (
+        mixed[np.argsort(mixed["t"], kind="stable")],
+        np.maximum.accumulate(mixed["t"]),
+    )
+    n_back, late_us = np.sum(np.diff(mixed["t"]) < 0), np.max(latest - mixed["t"])
     for name, save in (("cam1.h5", save_events_h5), ("cam1.txt", save_events_text)):
         save(tmp_path / name, mixed, WIDTH, HEIGHT)
-        said = "be sorted by .* sort them with --sort", "of 4000 events came up to .* us too late"
+        said = (
+            f"{n_back} of 4000 come up to {late_us} us too late: sort them with --sort",
+            f"{n_back} of 4000 events came up to {late_us} us too late",
+        )
         found = refused_or_left(tmp_path / name, *said, Reading(sort=True))
         np.testing.assert_array_equal(found, expected)
+
+
+def test_events_that_are_repeated_32_times_are_damage_but_not_in_text(tmp_path):
+    events = random_events(N)
+    for first, n in ((100, 40), (200, 31), (300, 32)):
+        events[first : first + n] = events[first]
+    save_events_h5(tmp_path / "cam1.h5", events, WIDTH, HEIGHT)
+    said = "72 events stand there 32 times in a row or more"
+    np.testing.assert_array_equal(refused_or_left(tmp_path / "cam1.h5", said, said), events)
+    save_events_text(tmp_path / "cam1.txt", events, WIDTH, HEIGHT)
+    np.testing.assert_array_equal(load_events(tmp_path / "cam1.txt").events, events)
 
 
 BREAKS = r"sorted by time|leaps of time by more than 3600 s"
