@@ -98,7 +98,7 @@ fidelity: .venv/.kernels ## events against dense references, 20 flights (an hour
 real: .venv/.kernels ## drone-tracking data sets, downloaded to DATA=folder: offsets, paths -> results/real_*.csv
 	@.venv/bin/ssac real $(DATA)
 
-outdoor: ## the paper's outdoor experiment, simulated: 10 flights (2 minutes each) -> results/outdoor.csv
+outdoor: ## the paper's outdoor experiment, simulated: 10 flights (minutes each) -> results/outdoor.csv
 
 network: ## many cameras: errors of four, run time with eight (half an hour) -> results/network*.csv
 

@@ -331,6 +331,7 @@ STUDIES = (
         (made_of("reasons.csv", reasons_table, "reasons_runs"),),
         numbers={
             "reasons.recordings": quoted("reasons", "{recordings:.0f}", kind=ALL),
+            "reasons.wrong": quoted("reasons", "{wrong:.0f} of {recordings:.0f}", kind=ALL),
             "reasons.named": partial(share, columns=("named", "right"), of="recordings"),
             "reasons.works": partial(share, columns=("works",), of="advised"),
         },

@@ -30,7 +30,7 @@ interpolated, and would make deviations too small."""
 
 FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
 """Deviations of phones' and camcorders' intrinsics, which focus and stabilisation change: between
-those of a good calibration, which cameras 0 and 1 of data set 1 contradict, and a careless one."""
+those of a good calibration, which camera 1 of data set 1 contradicts, and of a careless one."""
 
 _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 
