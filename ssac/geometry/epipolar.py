@@ -6,7 +6,6 @@ p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TypeVar
 
 import numba
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from ssac.arrays import Array
 
 Entries = Array | Sequence[float]
-T = TypeVar("T", float, Array)
 
 CAUCHY = 2.385  # scale of Cauchy's loss, in robust deviations: 95 % efficiency on Gaussian noise
 TO_DEVIATION = 1.4826  # from the median absolute value of Gaussian noise to its deviation
@@ -77,10 +75,12 @@ def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
         return np.asarray(np.abs(products) / np.hypot(a, b))
 
 
-def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:
+def epipolar_terms(
+    f: Entries, u1: float, v1: float, u2: float, v2: float
+) -> tuple[float, float, float, float, float]:
     """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
 
-    It takes arrays or, compiled in kernels, numbers; f has the nine entries of F, row by row.
+    To be compiled in kernels; f has the nine entries of F, row by row.
     """
     a2 = f[0] * u1 + f[1] * v1 + f[2]
     b2 = f[3] * u1 + f[4] * v1 + f[5]

@@ -71,8 +71,9 @@ def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
         return False
     cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us, rules.look_every)
     events = np.concatenate([events[first:last] for first, last in bounds])
-    ends = np.cumsum(bounds[:, 1] - bounds[:, 0])
-    bounds = np.column_stack([np.append(0, ends[:-1]), ends])
+    counts = np.diff(bounds).ravel()
+    ends = np.cumsum(counts)
+    bounds = np.column_stack([ends - counts, ends])
     blobs, *_ = _blobs(events, bounds, cells, rules)
     n_things = _things(blobs, len(bounds), cells.size_px, rules)
     return bool(np.mean(n_things > 1) > rules.several_share)
