@@ -30,7 +30,7 @@ SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
 
 Use = tuple[str, str]  # a module, and the name that is imported from it; "" for all of it
 
-_ALWAYS = ""  # key of statements that count as soon as anything of their module does
+_ALWAYS = ""  # key of statements that count as soon as anything of their module does, or of it all
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files that are no data
 _HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
 """Decorators that register nothing elsewhere."""
@@ -49,9 +49,8 @@ class Code:
 
 @dataclass(frozen=True)
 class Source:
-    """One file of code."""
+    """One file of code: of a module that counts as a whole, all of it is one definition."""
 
-    whole: Code
     imports: dict[str, Use]  # at the top level
     definitions: dict[str, list[Code]]  # by name bound
 
@@ -68,9 +67,8 @@ class SourceTree:
         """Return a digest of code ("module" or "module:definition") and all that it depends on."""
         parts, data = [], set[Path]()
         for name in sorted(self.closure(*starts)):
-            module, is_definition, definition = name.partition(":")
-            source = self._source(module)
-            codes = source.definitions[definition] if is_definition else [source.whole]
+            module, _, definition = name.partition(":")
+            codes = self._source(module).definitions[definition]
             parts.append(" ".join([name, *(code.digest for code in codes)]))
             data |= set(self._data_beside(module))
         for path in sorted(data):
@@ -97,7 +95,8 @@ class SourceTree:
         source = self._source(module)
         if _is_whole(module):
             found.add(module)
-            return [use for _, use in source.whole.imports] + [*self._named(source.whole.words)]
+            (code,) = source.definitions[_ALWAYS]
+            return [use for _, use in code.imports] + [*self._named(code.words)]
         if name in source.imports:
             return [source.imports[name]]
         chosen = {name, _ALWAYS} & set(source.definitions)
@@ -152,18 +151,19 @@ class SourceTree:
             path = self._path(module)
             if path is None:
                 raise FileNotFoundError(f"no module {module} under {self.root}")
-            self.sources[module] = read_source(path.read_text(encoding="utf-8"))
+            self.sources[module] = read_source(path.read_text(encoding="utf-8"), _is_whole(module))
         return self.sources[module]
 
 
 @cache
-def read_source(text: str) -> Source:
+def read_source(text: str, is_whole: bool) -> Source:
     """Parse a source text into its code without prose, imports from PACKAGES and definitions."""
     tree = ast.parse(text)
     for node in list(ast.walk(tree)):
         if isinstance(node, (*_DEFINING, ast.Module)):
             node.body = [line for line in node.body if not _is_prose(line)]
-    whole = _code(tree)
+    if is_whole:
+        return Source({}, {_ALWAYS: [_code(tree)]})
     imports: dict[str, Use] = {}
     definitions: dict[str, list[Code]] = {}
     for line in tree.body:
@@ -179,7 +179,7 @@ def read_source(text: str) -> Source:
         if not isinstance(line, (ast.Import, ast.ImportFrom)):
             for name in _bound(line):
                 definitions.setdefault(name, []).append(code)
-    return Source(whole, imports, definitions)
+    return Source(imports, definitions)
 
 
 def _is_whole(module: str) -> bool:
