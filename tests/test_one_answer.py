@@ -30,10 +30,11 @@ FEW = ("joint", "tangency", "zncc_e")
 METHODS = {
     **dict.fromkeys(("ordinary", "without_pose", "known_extrinsics", "without_frames"), ALL),
     **dict.fromkeys(("tracks", "readout"), ALL),
-    **dict.fromkeys(("people", "three_cameras_two_drones", "three_mixed"), FEW[:1]),
+    **dict.fromkeys(("people", "clock_jump", "three_cameras_two_drones"), FEW[:1]),
+    **dict.fromkeys(("three_cameras", "three_mixed"), (None,)),  # each pair's default
 }
 """The methods to ask about a recording, if not FEW: all where methods need data that some
-recordings lack, and one where it takes seconds to separate the objects."""
+recordings lack, and one where it takes seconds to separate objects or to try other clocks."""
 
 
 @pytest.fixture
@@ -89,9 +90,9 @@ def test_one_answer(name, tmp_path, found):
             ]
         assert different == []
         if len(recorded.files) > 2:  # command line and Python of all cameras together
-            out = tmp_path / "three.json"
-            ended = run("sync", *recorded.files, "--rig", recorded.rig, "--json", out)
-            result = ssac.sync([*recorded.files], recorded.rig)
+            out, asked = tmp_path / "three.json", ("--method", method) if method else ()
+            ended = run("sync", *recorded.files, "--rig", recorded.rig, "--json", out, *asked)
+            result = ssac.sync([*recorded.files], recorded.rig, method=method)
             assert ended.exit_code == (result.status != "ok"), ended.stderr
             assert ended.stdout.split() == result.summary().split()  # as lines are folded
             assert list(differences(untimed(read_json(out)), untimed(result.to_dict()))) == []
