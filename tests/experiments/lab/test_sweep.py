@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 
@@ -62,14 +63,14 @@ def started(folder, config, out, cache, *more):
     return python(folder, *words, stderr=subprocess.PIPE)
 
 
-def at_work(cache, run):
+def at_work(cache, is_running):
     """Wait until a process works on a recording of a run; return the id of the process."""
     while True:
         with suppress(FileNotFoundError):  # the lock was just released
             for path in cache.glob("runs/.*.claim"):
                 if found := re.search(r"^pid=(\d+)$", path.read_text(), re.MULTILINE):
                     return int(found[1])
-        assert run.poll() is None
+        assert is_running()
         time.sleep(0.01)
 
 
@@ -114,7 +115,7 @@ def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder,
 def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, config, whole):
     cache, outs = folder / "cache_shared", (folder / "one.csv", folder / "other.csv")
     other = started(folder, config, outs[0], cache, "--workers", "1")
-    at_work(cache, other)
+    at_work(cache, lambda: other.poll() is None)
     told = [sweep(config, outs[1], cache, "--workers", "1"), other.communicate()[1]]
     assert other.returncode == 0, told
     simulated = [int(re.search(r"(\d+) of them simulated", said)[1]) for said in told]
@@ -149,7 +150,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
 ):
     out, cache = folder / "killed.csv", folder / "cache_killed"
     run = started(folder, config, out, cache, "--workers", "2")
-    os.kill(at_work(cache, run), signal.SIGKILL)
+    os.kill(at_work(cache, lambda: run.poll() is None), signal.SIGKILL)
     while "a worker ended by SIGKILL on the flight of 3 s at 90 deg with seed" not in (
         said := run.stderr.readline()
     ):
@@ -185,10 +186,12 @@ def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
         out, cache = folder / "dask.csv", folder / "cache_dask"
-        run = started(folder, config, out, cache, "--scheduler", address)
-        os.kill(at_work(cache, run), signal.SIGKILL)
-        said = run.communicate()[1]
-        assert run.returncode == 0, said
+        with ThreadPoolExecutor(1) as beside:
+            killed = beside.submit(
+                lambda: os.kill(at_work(cache, lambda: not out.exists()), signal.SIGKILL)
+            )
+            sweep(config, out, cache, "--scheduler", address)
+        killed.result()
         assert out.read_bytes() == whole.read_bytes()
         assert len(list((cache / "runs").rglob("*.json"))) == 3 * 2 * 2
         capfd.readouterr()
