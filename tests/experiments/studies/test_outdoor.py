@@ -34,7 +34,7 @@ def test_what_is_true_is_found_within_its_deviations(tmp_path, truth, monkeypatc
 @pytest.mark.render
 def test_a_short_flight_gives_both_tables(tmp_path: Path) -> None:
     folders = ("--out", tmp_path, "--cache", tmp_path / "cache")
-    run("outdoor", "--flights", 1, "--duration", 10, *folders)
+    run("outdoor", "--flights", 1, "--duration", 10, "--workers", 1, *folders)
     recordings = (tmp_path / "cache" / "recordings").iterdir()
     assert sum(path.is_dir() for path in recordings) == 2  # one of them is of the third camera
     runs, means = (Results(tmp_path).table(name) for name in ("outdoor", "outdoor_oracle"))
