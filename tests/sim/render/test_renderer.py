@@ -222,8 +222,9 @@ CORNERS_M = np.array([[x, -3.1, z] for z in (-1.2, 1.2) for x in (-1.6, 1.6)])
 AT_BORDERS = poses(np.concatenate([CORNERS_M * [1, 1, 0.2], CORNERS_M * [0.3, 1, 1]]), seed=2)
 
 
-@pytest.mark.parametrize("lens", LENSES)
-@pytest.mark.parametrize(("a", "b"), [(4, 0), (6, 1), (9, 1)])
+@pytest.mark.parametrize(
+    ("lens", "a", "b"), [("none", 4, 0), ("radtan", 6, 1), ("equidistant", 9, 1)]
+)
 @pytest.mark.parametrize(
     ("drone", "T_W_B", "ambient"),
     [
@@ -257,7 +258,7 @@ def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels():
     quickly = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     environment = os.environ | quickly | {"PYOPENGL_PLATFORM": other}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert "9 passed" in done.stdout, done.stdout + done.stderr
+    assert "3 passed" in done.stdout, done.stdout + done.stderr
 
 
 def test_one_process_one_backend():
@@ -303,8 +304,9 @@ def test_a_library_that_does_not_load(backend, monkeypatch):
 # --- The native renderer ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lens", LENSES)
-@pytest.mark.parametrize(("a", "b"), [(8, 0), (6, 1), (16, 1)])
+@pytest.mark.parametrize(
+    ("lens", "a", "b"), [("none", 8, 0), ("radtan", 6, 1), ("equidistant", 16, 1)]
+)
 @pytest.mark.parametrize(
     "drone", [BOX, quadrotor(rotor_hz=7.0), quadrotor(1.6)], ids=["box", "spinning", "large"]
 )
