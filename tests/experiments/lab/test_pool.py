@@ -14,7 +14,7 @@ from threading import Lock
 import pytest
 
 from experiments.lab import pool as module
-from experiments.lab.pool import DiedError, Pool, Processes
+from experiments.lab.pool import DiedError, Pool, Processes, in_new_process
 
 
 class TwoWordsError(Exception):
@@ -102,3 +102,12 @@ def test_a_pool_that_is_left_ends_what_it_was_on():
         pool.submit(partial(time.sleep, 1e6))
         (worker,) = pool._busy
     assert worker.process.exitcode == -signal.SIGTERM
+
+
+def with_a_worker():
+    with Processes(1) as pool:
+        return work_off(pool, [square(3)])[0].result()
+
+
+def test_a_process_of_its_own_may_start_more():
+    assert in_new_process(with_a_worker) == 9  # as the one that makes the tables does

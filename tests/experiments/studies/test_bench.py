@@ -1,6 +1,5 @@
 """The benchmark: its parts, the tables of their measurements, the growth of time and memory."""
 
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +8,6 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results, csv_text, png_bytes
 from experiments.lab.schedule import Task, Workers, run_cells, run_task
 from experiments.machine import growth, parts
@@ -46,15 +44,6 @@ def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -
     assert table["name"][0].startswith("no-such-part: not measured (no-such-part: KeyError")
     assert np.isnan(table["value"][0])
     assert table["name"].tolist()[1:] == [row.name for row in growth_rows(made_up_growth())]
-
-
-def _with_a_worker() -> int:
-    with Processes(1) as pool:
-        return pool.submit(partial(abs, -3)).result(60.0)
-
-
-def test_a_process_of_its_own_may_start_more() -> None:
-    assert in_new_process(_with_a_worker) == 3  # as the one that makes the tables does
 
 
 @pytest.mark.render
