@@ -1,5 +1,9 @@
 """Remove noise: the events of pixels that fire by themselves, and isolated events.
 
+Lamps that flicker and hot pixels are no part of anything that moves, yet a cluster of them looks
+like an object to a filter of isolated events. Unlike an object they never pause, and they have a
+sharp edge: whatever moves leaves events all around the place where it stays.
+
 How many neighbours an event needs follows from the noise that is there, and from how many events
 the object makes; the paper's 20 are what an ordinary drone in ordinary light needs.
 """
@@ -8,15 +12,18 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, find_objects, label
 from scipy.special import pdtrc
 
-from ssac.arrays import Events, IntArray, Mask, Pixels
+from ssac.arrays import Events, Indices, IntArray, Mask, Pixels
 from ssac.config import N_MIN
 from ssac.events import first_from
 from ssac.rules import NoiseRules
-from ssac.track.clutter import activity, masked_pixels, unmasked
 
 US_PER_MS = 1000.0
+
+Int32Array = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -45,10 +52,9 @@ def without_noise(
     An event needs `n_neighbours` in the paper's ball. None: the paper's number, or fewer, as noise
     allows, where the object makes few events; in much noise the smaller ball, likewise.
     """
-    found = activity(events, width, height, rules)
-    mask = masked_pixels(found, rules)
-    n_all, hz = len(events), found.background_hz
-    events, size_px = unmasked(events, mask), (width, height)
+    mask, hz = masked_pixels(events, width, height, rules)
+    n_all, size_px = len(events), (width, height)
+    events = unmasked(events, mask)
     n_masked = n_all - len(events)
     radius_px, n = rules.ball_px, n_neighbours or rules.ball_neighbours
     if n_neighbours is None and hz > rules.noisy_hz:
@@ -225,3 +231,125 @@ def _has_neighbours(
             keep[i] = n_found >= n_neighbours
         start = stop
     return keep
+
+
+def masked_pixels(events: Events, width: int, height: int, rules: NoiseRules) -> tuple[Mask, float]:
+    """Tell the pixels (height, width) that fire by themselves, and the background of others [Hz].
+
+    The background is the mean of the middle fifth of all squares in all bins, ordered by events: an
+    object that covers less than 40 % of the sensor, or a burst at the start, has no part in it.
+    """
+    starts = _starts_of_bins(events["t"], rules.bin_us)
+    counts, active, n_bins, squares = _count(
+        starts, events["x"], events["y"], width, height, rules.parts, rules.square_px
+    )
+    ends = np.cumsum(squares)
+    low, high = 0.4 * ends[-1], 0.6 * ends[-1]
+    weights = np.clip(ends, low, high) - np.clip(ends - squares, low, high)
+    of_square = float(weights @ np.arange(len(squares)) / max(high - low, 1.0))
+    hz = of_square / (rules.square_px**2 * (1e-6 * rules.bin_us))
+    lone = _lone_pixels(counts, rules)
+    return lone | _clusters(counts, active, n_bins, hz, lone, rules), hz
+
+
+def unmasked(events: Events, masked: Mask) -> Events:
+    """Leave out events (n,) of masked pixels (height, width); the same array if none is masked."""
+    if not masked.any():
+        return events
+    return events.compress(of_pixels(~masked, events["x"], events["y"]))
+
+
+@numba.njit(cache=True)
+def of_pixels(chosen: Mask, x: Pixels, y: Pixels) -> Mask:
+    """Tell which events (n,) are of chosen pixels (height, width); it makes no other array (n,)."""
+    found = np.empty(len(x), np.bool_)
+    for i in range(len(x)):
+        found[i] = chosen[y[i], x[i]]
+    return found
+
+
+@numba.njit(cache=True)
+def _starts_of_bins(t: IntArray, bin_us: int) -> Indices:
+    """Index of the first event of each bin that has events; the last is the number of events."""
+    starts, first = [0], 0
+    while first < len(t):
+        end_us = t[first] + bin_us - (t[first] - t[0]) % bin_us
+        first += np.searchsorted(t[first:], end_us)
+        starts.append(first)
+    return np.array(starts)
+
+
+@numba.njit(cache=True)
+def _count(
+    starts: Indices, x: Pixels, y: Pixels, width: int, height: int, parts: int, square_px: int
+) -> tuple[IntArray, Int32Array, IntArray, IntArray]:
+    """Count events and active bins by pixel, bins by part, and squares by their events in a bin."""
+    n_pixels = height * width
+    counts, active = np.zeros(n_pixels, np.int64), np.zeros((parts, n_pixels), np.int32)
+    in_bin, touched = np.zeros(n_pixels, np.int32), np.empty(n_pixels + 1, np.int32)
+    n_bins = np.zeros(parts, np.int64)
+    in_square = np.zeros((height // square_px + 1, width // square_px + 1), np.int64)
+    squares = np.zeros((1 << 14) + 1, np.int64)  # squares with more events count as the last
+    total = len(starts) - 1
+    for k in range(total):
+        part = k * parts // total
+        n_bins[part] += 1
+        n_touched = 0
+        for i in range(starts[k], starts[k + 1]):
+            pixel = np.uint32(np.int64(y[i]) * width + x[i])
+            touched[n_touched] = pixel  # overwritten if the pixel was touched before
+            n_touched += in_bin[pixel] == 0
+            in_bin[pixel] += 1
+        for pixel in touched[:n_touched]:
+            n = in_bin[pixel]
+            in_bin[pixel] = 0
+            counts[pixel] += n
+            active[part, pixel] += 1
+            in_square[pixel // width // square_px, pixel % width // square_px] += n
+        for row in range(height // square_px):
+            for column in range(width // square_px):
+                squares[min(in_square[row, column], len(squares) - 1)] += 1
+        in_square[:] = 0
+    shape = height, width
+    return counts.reshape(shape), active.reshape((parts, *shape)), n_bins, squares
+
+
+def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
+    """Pixels with many events beside few such pixels: an object's edge has as many all along."""
+    rows, columns = np.nonzero(counts >= rules.min_masked_events)
+    own, around = counts[rows, columns], np.pad(counts, 2, constant_values=-1)
+    n_companions = np.full(len(own), -1)  # the pixel finds itself
+    for i, j in np.ndindex(5, 5):
+        n_companions += around[rows + i, columns + j] * rules.comparable_ratio >= own
+    lone = np.zeros(counts.shape, np.bool_)
+    lone[rows, columns] = n_companions < rules.min_companions
+    return lone
+
+
+def _clusters(
+    counts: IntArray, active: Int32Array, n_bins: IntArray, hz: float, lone: Mask, rules: NoiseRules
+) -> Mask:
+    """Clusters that never pause, with few events around: slow objects leave, or blur their edge."""
+    clusters = np.zeros(counts.shape, np.bool_)
+    total = int(np.sum(n_bins))
+    if total < rules.min_bins_per_part * rules.parts:
+        return clusters
+    background = 1e-6 * rules.bin_us * total * hz  # events of an ordinary pixel
+    least = max(rules.min_masked_events, rules.min_over_background * background)
+    restless = ~lone & (counts > least)
+    for in_part, n in zip(active, n_bins, strict=True):
+        restless &= in_part > rules.min_active_share * n
+    neighbours = np.ones((3, 3), np.bool_)
+    labels = np.zeros(restless.shape, np.int32)
+    label(restless, neighbours, output=labels)
+    others = ~lone & ~restless
+    for number, parts in enumerate(find_objects(labels), start=1):
+        box = tuple(slice(max(part.start - 1, 0), part.stop + 1) for part in parts)
+        cluster = labels[box] == number
+        ring = binary_dilation(cluster, neighbours) & others[box]
+        if np.sum(cluster) < rules.min_cluster_px or not ring.any():
+            continue
+        own, around = (np.median(counts[box][part]) for part in (cluster, ring))
+        if around - background <= rules.max_ring_share * (own - background):
+            clusters[box] |= cluster
+    return clusters

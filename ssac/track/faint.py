@@ -16,8 +16,7 @@ from ssac.arrays import Array, Events, IntArray, Mask, Pixels
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.rules import FaintRules, NoiseRules, Rules
-from ssac.track.clutter import activity, masked_pixels, unmasked
-from ssac.track.denoise import least_neighbours, radius_filter
+from ssac.track.denoise import least_neighbours, masked_pixels, radius_filter, unmasked
 
 
 @dataclass(frozen=True)
@@ -107,10 +106,10 @@ def _sure(
     events: Events, width: int, height: int, noise: NoiseRules, rules: FaintRules
 ) -> tuple[Events, Events]:
     """Return events without pixels that fire by themselves, and those surely an object's."""
-    found = activity(events, width, height, noise)
-    kept = unmasked(events, masked_pixels(found, noise))
+    masked, hz = masked_pixels(events, width, height, noise)
+    kept = unmasked(events, masked)
     as_large_px = rules.ms_per_px ** (1 / 3) * noise.ball_px  # same volume, 1 ms per px
-    hz, most = found.background_hz, rules.most_neighbours
+    most = rules.most_neighbours
     n = max(rules.n_neighbours, least_neighbours(hz, width * height, as_large_px, most, noise))
     sure = kept
     for _ in range(rules.rounds):

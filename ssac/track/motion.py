@@ -22,7 +22,7 @@ from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
-from ssac.track.clutter import of_pixels
+from ssac.track.denoise import of_pixels
 from ssac.track.motion_kernels import (
     HALF_US,
     TIMES_BITS,

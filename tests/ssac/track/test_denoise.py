@@ -10,8 +10,7 @@ from ssac.events import EVENT_DTYPE, events_from_arrays
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track
 from ssac.rules import FaintRules, NoiseRules
-from ssac.track.clutter import activity, masked_pixels
-from ssac.track.denoise import least_neighbours, radius_filter, without_noise
+from ssac.track.denoise import least_neighbours, masked_pixels, radius_filter, without_noise
 from ssac.track.faint import follow, smoothed_path
 from tests.ssac.cluttered import lamp, merged, noise, pixel_events
 from tests.ssac.command import run
@@ -24,7 +23,11 @@ RULES = NoiseRules()
 
 
 def mask_of(events):
-    return masked_pixels(activity(events, WIDTH, HEIGHT, RULES), RULES)
+    return masked_pixels(events, WIDTH, HEIGHT, RULES)[0]
+
+
+def background_hz_of(events):
+    return masked_pixels(events, WIDTH, HEIGHT, RULES)[1]
 
 
 def pixels(*squares):
@@ -105,7 +108,7 @@ def test_a_gap_in_the_recording_changes_nothing():
 
 
 def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background():
-    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
+    assert background_hz_of(blob(flight)) == 0.0
     for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
         assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
@@ -122,11 +125,11 @@ def test_a_bar_that_stands_and_flickers_stays():
 def test_the_background_is_that_of_ordinary_pixels(hz):
     start = noise(WIDTH, HEIGHT, 1000.0, 20_000)  # at first, every pixel fires again and again
     parts = blob(flight), lamp(3, 60, 12, LONG_US), noise(WIDTH, HEIGHT, hz, LONG_US), start
-    found = activity(merged(*parts), WIDTH, HEIGHT, RULES)
+    found_hz = background_hz_of(merged(*parts))
     # The object and the lamp fill 7 of 30 squares, which shifts the middle of all by a quarter of
     # the deviation; and a Poisson number's median is 1/3 below its mean: at 0.2 Hz, 1/3 of 5.
     of_square = hz * 25.6
-    assert found.background_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
+    assert found_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
 
 
 def random_events(n, duration_us, seed=0, first_us=0):
