@@ -6,7 +6,7 @@ pieces of paths, which end where two blobs meet or one splits. Cells of things t
 such as a branch in the wind, are left out.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
@@ -69,26 +69,26 @@ def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
     """Whether more than one object is seen at a time, judged by some of the bins."""
     if len(events) == 0:
         return False
-    cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us, rules.look_every)
+    cell_px, still = _cells(camera, rules)
+    bounds = _bounds(events, rules.bin_us, rules.look_every)
     events = np.concatenate([events[first:last] for first, last in bounds])
     counts = np.diff(bounds).ravel()
     ends = np.cumsum(counts)
     bounds = np.column_stack([ends - counts, ends])
-    blobs, *_ = _blobs(events, bounds, cells, rules)
-    n_things = _things(blobs, len(bounds), cells.size_px, rules)
+    blobs, *_ = _blobs(events, bounds, cell_px, still, rules)
+    n_things = _things(blobs, len(bounds), cell_px, rules)
     return bool(np.mean(n_things > 1) > rules.several_share)
 
 
 def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     """Follow all moving objects in a camera's denoised events (n,), sorted by time."""
-    cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us)
-    blobs, _, n_full = _blobs(events, bounds, cells, rules)
-    n_things = _things(blobs, len(bounds), cells.size_px, rules)
+    (cell_px, still), bounds = _cells(camera, rules), _bounds(events, rules.bin_us)
+    blobs, _, n_full = _blobs(events, bounds, cell_px, still, rules)
+    n_things = _things(blobs, len(bounds), cell_px, rules)
     n_seen = int(np.quantile(n_things, 1.0 - rules.several_share))
-    cells = replace(cells, still=n_full > rules.still_share * len(bounds))
-    rows, columns = events["y"] // cells.size_px, events["x"] // cells.size_px
-    share_still = float(np.mean(cells.still[rows, columns]))
-    blobs, labels, _ = _blobs(events, bounds, cells, rules)
+    still = n_full > rules.still_share * len(bounds)
+    share_still = float(np.mean(still[events["y"] // cell_px, events["x"] // cell_px]))
+    blobs, labels, _ = _blobs(events, bounds, cell_px, still, rules)
     paths = [path for path in _paths(blobs, len(bounds), rules) if len(path) >= rules.least_bins]
     extent_px = _extent_px(blobs, len(bounds))
     is_part = _are_parts(blobs, extent_px)
@@ -101,19 +101,11 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     return Objects(int(events["t"][0]), rules.bin_us, are_several, n_seen, pieces, labels)
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """Square cells of a sensor."""
-
-    size_px: int
-    still: Mask  # (rows, columns) in which something stays in its place
-
-    @staticmethod
-    def of(camera: Camera, rules: ObjectRules) -> "_Cells":
-        """Cut a sensor into cells, none of them still."""
-        size_px = max(1, round(rules.cell_widths * camera.width))
-        shape = -(-camera.height // size_px), -(-camera.width // size_px)
-        return _Cells(size_px, np.zeros(shape, np.bool_))
+def _cells(camera: Camera, rules: ObjectRules) -> tuple[int, Mask]:
+    """Cut a sensor into square cells: their side, and the mask (rows, columns) of still ones."""
+    cell_px = max(1, round(rules.cell_widths * camera.width))
+    shape = -(-camera.height // cell_px), -(-camera.width // cell_px)
+    return cell_px, np.zeros(shape, np.bool_)
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
@@ -126,10 +118,11 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
 
 
 def _blobs(
-    events: Events, bounds: IntArray, cells: _Cells, rules: ObjectRules
+    events: Events, bounds: IntArray, cell_px: int, still: Mask, rules: ObjectRules
 ) -> tuple[Blobs, Labels, IntArray]:
     """Find blobs, the blob of each event (n,), -1: none, and in how many bins each cell is full."""
-    labels, bins, at_still, n_full = _labelled(events, bounds, cells, rules.full_cell_events)
+    full = rules.full_cell_events
+    labels, bins, at_still, n_full = _labelled(events, bounds, cell_px, still, full)
     counts = np.bincount(labels + 1, minlength=len(bins) + 1)[1:]
     kept = counts >= rules.least_blob_events
     bins, at_still, n = bins[kept], at_still[kept], counts[kept].astype(np.float64)
@@ -161,16 +154,16 @@ def _shapes(labels: Labels, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, 
 
 
 def _labelled(
-    events: Events, bounds: IntArray, cells: _Cells, full: int
+    events: Events, bounds: IntArray, cell_px: int, still: Mask, full: int
 ) -> tuple[Labels, IntArray, Mask, IntArray]:
     """Label the connected clusters of full cells in each bin of time, leaving out still cells."""
     # A cell with `full` events or more is full, and joins its full neighbours. Returned are the
     # cluster of each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether
     # it touches a still cell (k,); and in how many bins each cell (rows, columns) is full.
-    still, beside = cells.still, np.ones((3, 3), np.bool_)
+    beside = np.ones((3, 3), np.bool_)
     at_still = binary_dilation(still, beside)
-    cell_of_event = (events["y"] // cells.size_px) * np.intp(still.shape[1])
-    cell_of_event += events["x"] // cells.size_px
+    cell_of_event = (events["y"] // cell_px) * np.intp(still.shape[1])
+    cell_of_event += events["x"] // cell_px
     labels, n_full = np.full(len(events), -1, np.int32), np.zeros(still.shape, np.int64)
     bins: list[int] = []
     touch: list[bool] = []
