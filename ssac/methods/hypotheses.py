@@ -157,8 +157,10 @@ class Choice:
         rules = self.views.rules.hypotheses
         if start.status == Status.OK:
             return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)
-        if start.status not in SETTLED_BY["joint"] or self._is_edge_on():
+        if start.status not in SETTLED_BY["joint"]:
             return []
+        if not self.views.pose_is_known and self.views.alone.are_straight:
+            return []  # all positions lie on one epipolar line of each view: any pose fits
         if start.status == Status.AMBIGUOUS_OFFSET:
             offsets_s = _offsets_of_valleys(start, self.views.rules)
             if self._is_short(offsets_s[0]):
@@ -181,10 +183,6 @@ class Choice:
                 poses = poses[: rules.max_poses]
             found += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
         return found
-
-    def _is_edge_on(self) -> bool:
-        """Whether all positions lie on one epipolar line of each view, so that any pose fits."""
-        return not self.views.pose_is_known and self.views.alone.are_straight
 
     def _is_short(self, t_d_s: float) -> bool:
         """Whether the path is too short to tell an offset together with a pose."""

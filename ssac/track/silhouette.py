@@ -102,7 +102,8 @@ def silhouettes(
     start = where_px[0], rules.window_sizes * sizes_px[0], rules.min_covered_share
 
     def prepared(events: Events) -> Counted | None:
-        counted = _seen(events, camera, samples_us, boxes)
+        t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
+        counted = ((t_us, x, y), (camera.height, camera.width), (samples_us, boxes)), polarities
         return _with_covered(counted, *start) if is_large else counted
 
     found = _counted_up(recorded, denoised, prepared, ramps_us, rules)
@@ -203,11 +204,6 @@ def _levels_since_start(
             least[row, col] = min(least[row, col], level[row, col])
             most[row, col] = max(most[row, col], level[row, col])
     return level, inside < i - 1, least, most
-
-
-def _seen(events: Events, camera: Camera, samples_us: IntArray, boxes: IntArray) -> Counted:
-    t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-    return ((t_us, x, y), (camera.height, camera.width), (samples_us, boxes)), polarities
 
 
 def _boxes(
