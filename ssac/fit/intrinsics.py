@@ -15,6 +15,7 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig, distort_points
+from ssac.fit.covariance import repeats
 from ssac.fit.least_squares import (
     FIRST_COLUMN,
     T_D,
@@ -64,12 +65,14 @@ class Allowance:
         """Take the priors' scales from a fit whose loss has the scale of the last fit's.
 
         A skew's prior is weighted by what the residuals tell of the skew. They tell next to nothing
-        of other parameters, whose priors are weighted by `Residuals.repeats`.
+        of other parameters, whose priors are weighted by `covariance.repeats`.
         """
         if self.is_made:
             return
         residuals = linearise(problem, parameters)
-        scale_px = np.sqrt(residuals.repeats()) * robust_deviation(residuals.distances_px)
+        slopes_px = residuals.weights[0] * residuals.distances_px
+        n = repeats(problem.pairs.times_s, residuals.free, slopes_px, problem.rules)
+        scale_px = np.sqrt(n) * robust_deviation(residuals.distances_px)
         self._intrinsics_px, self.is_made = scale_px, True
         self._scales_px = np.full(len(problem.priors), scale_px)
         if len(problem.of_clock) > 1:

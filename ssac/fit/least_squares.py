@@ -186,12 +186,6 @@ class Residuals:
         independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, if errors are 1 px
         return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
 
-    def repeats(self) -> float:
-        """How many residuals together tell as much as one independent one; at least 1."""
-        slopes_px = self.weights[0] * self.distances_px
-        times_s, rules = self.problem.pairs.times_s, self.problem.rules
-        return covariance.repeats(times_s, self.free, slopes_px, rules)
-
     def _priors(self) -> tuple[Array, Array]:
         """Return the priors' rows (q, f) of the system, and the residual per unit of each (q,)."""
         problem, priors = self.problem, self.problem.priors

@@ -26,6 +26,7 @@ from ssac.search.offset_search import (
     valleys,
 )
 from ssac.search.two_views import TwoViews, shutters_of
+from ssac.search.view import size_px
 from ssac.track.motion import ObjectMotion
 
 
@@ -216,7 +217,9 @@ class Choice:
         x1, x2 = pairs.rays(views.rig)
         some = slice(None, None, max(1, len(x1) // rules.hypotheses.homography_pairs))
         distance, poses = homography_poses(x1[some], x2[some])
-        flat_px = rules.hypotheses.flat * views.size_px_at(pairs)
+        on_clock_2 = views.on_clock_2(pairs.times_s, pairs.t_d_s)
+        sizes_px = size_px(views.motion1, pairs.times_s), size_px(views.motion2, on_clock_2)
+        flat_px = rules.hypotheses.flat * np.hypot(*sizes_px)
         if distance * views.rig.cam2.K[0, 0] > flat_px:
             return []
         least = rules.search.min_in_front

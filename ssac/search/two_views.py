@@ -18,7 +18,7 @@ from ssac.config import MIN_SWINGS, Config
 from ssac.estimate import Estimate
 from ssac.geometry.pose import rays_of
 from ssac.rules import Rules
-from ssac.search.view import Alone, seen_by_both, size_px, swing_hz
+from ssac.search.view import Alone, seen_by_both, swing_hz
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion, PointMotion, SharpTrack, motion_of
 
@@ -164,12 +164,6 @@ class TwoViews:
         """Both views' sharp positions at times (n,) [s] of camera 1's clock."""
         on_clock_2 = self.on_clock_2(times_s, t_d_s)
         return self.motion1.sharp_at(times_s), self.motion2.sharp_at(on_clock_2)
-
-    def size_px_at(self, pairs: PairsAt) -> float:
-        """As `object_px`, but from the object's images at some of the pairs."""
-        size1 = size_px(self.motion1, pairs.times_s)
-        size2 = size_px(self.motion2, self.on_clock_2(pairs.times_s, pairs.t_d_s))
-        return float(np.hypot(size1, size2))
 
     def swings(self, pairs: PairsAt) -> float:
         """How many times the object goes to and fro while both see it: the lesser of two counts."""
