@@ -100,8 +100,14 @@ def test_paths_are_of_positions():
 
 CELLS = refusal.reason_cells(base=1, recordings=1)
 
-TWINS = ("at rest", "outside the interval", "short", "different objects", "clock jumps, tracks",
-         "orbit")  # fmt: skip
+TWINS = (
+    "at rest",
+    "outside the interval",
+    "short",
+    "different objects",
+    "clock jumps, tracks",
+    "orbit",
+)
 """Causes that are also tested in another form: tracks in place of events, or events for tracks.
 That the outlines of an orbit tell no more than those of a circle is tested in `test_tangency.py`.
 """
