@@ -37,10 +37,10 @@ def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
     for sensor in PRESETS.values():
         sim = SimConfig(spline=spline, sensor=sensor)
         for method in OURS:
-            yield Task((Cell(sim, 0, 0, 0.0, estimator, method.name, {}),)), SCORED
+            yield (Cell(sim, 0, 0, 0.0, estimator, method.name, {}),), SCORED
     bench = bench_of(ALL, 90.0, DURATION_S, 0)
     # A search will do: so short a flight is refused, and other methods would try all they can.
-    yield Task(tuple(cells_of(bench, {}, 0, (0.0,), ("ssac",)))), PHYSICAL
+    yield tuple(cells_of(bench, {}, 0, (0.0,), ("ssac",))), PHYSICAL
 
 
 def main() -> None:
@@ -51,7 +51,7 @@ def main() -> None:
         for n_done, (task, measure) in enumerate(tasks, 1):
             run_task(task, cache, measure)
             advance(n_done)
-        (sim, seed), *_ = tasks[0][0].recordings
+        (sim, seed), *_ = tasks[0][0][0].recordings
         # Long enough to recognise a rigid body.
         longer = replace(sim, spline=replace(sim.spline, duration_s=2.0 * DURATION_S))
         cam1, cam2, rig = recorded_pair(cache, longer, seed)

@@ -87,14 +87,14 @@ def recomputed(
         kept = study.runs
         assert kept is not None
         tasks = [task for whose, task in drawn if whose is study]
-        cells = [cell for task in tasks for cell in task.cells]
+        cells = [cell for task in tasks for cell in task]
         runs = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure).runs
         number = {id(cell): at for at, cell in enumerate(cells_of(study))}
         runs.insert(0, CELL, [number[id(cell)] for cell in cells])
         rows = table_of_texts(runs_text(kept, runs))
         for task in tasks:
-            mine, rows = rows[: len(task.cells)], rows[len(task.cells) :]
-            where = ", ".join(f"{key} {value}" for key, value in task.cells[0].columns.items())
+            mine, rows = rows[: len(task)], rows[len(task) :]
+            where = ", ".join(f"{key} {value}" for key, value in task[0].columns.items())
             what = f"{kept.file}: {len(mine)} runs on the recording of {where}"
             findings.append(found(what, partial(_compared, mine, study, kept, results)))
     return findings
@@ -180,6 +180,6 @@ def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
     tasks = [
         task
         for task in tasks_of(cells)
-        if all(sim.render.renderer == "native" for sim, _ in task.recordings)
+        if all(sim.render.renderer == "native" for sim, _ in task[0].recordings)
     ]
     return [tasks[index] for index in generator.permutation(len(tasks))]

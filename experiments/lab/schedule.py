@@ -36,16 +36,7 @@ MAX_DEATHS = 2
 other processes, as when memory is short."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """All cells that are measured on the same recordings."""
-
-    cells: tuple[PlainCell, ...]
-
-    @property
-    def recordings(self) -> tuple[Flight, ...]:
-        """Recordings that the cells are measured on."""
-        return self.cells[0].recordings
+Task = tuple[PlainCell, ...]  # all cells that are measured on the same recordings
 
 
 def tasks_of(cells: Sequence[PlainCell]) -> list[Task]:
@@ -53,22 +44,20 @@ def tasks_of(cells: Sequence[PlainCell]) -> list[Task]:
     groups: dict[tuple[Flight, ...], list[PlainCell]] = {}
     for cell in cells:
         groups.setdefault(cell.recordings, []).append(cell)
-    return [Task(tuple(group)) for group in groups.values()]
+    return [tuple(group) for group in groups.values()]
 
 
 def keys_of(task: Task, measure: Measure) -> list[str]:
     """Return the cache keys of a task's cells."""
-    recordings = tuple(recording_key(*recording) for recording in task.recordings)
+    recordings = tuple(recording_key(*recording) for recording in task[0].recordings)
     of_measure = (measure.load, measure.row, measure.row_type)
-    return [
-        run_key(recordings, cell.inputs, code_of(*of_measure, type(cell))) for cell in task.cells
-    ]
+    return [run_key(recordings, cell.inputs, code_of(*of_measure, type(cell))) for cell in task]
 
 
 def recordings_key(task: Task) -> str:
     """Return a key of a task's recordings, else of its cells' inputs; no measure enters it."""
-    keys = " ".join(recording_key(*recording) for recording in task.recordings)
-    keys = keys or repr([cell.inputs for cell in task.cells])
+    keys = " ".join(recording_key(*recording) for recording in task[0].recordings)
+    keys = keys or repr([cell.inputs for cell in task])
     return hashlib.sha256(keys.encode()).hexdigest()[:24]
 
 
@@ -124,7 +113,7 @@ def run_cells(
     # The longest flights first, so that no worker is left alone with a long flight at the end.
     left = sorted(
         (index for index in range(len(keys)) if index not in found),
-        key=lambda index: -sum(sim.spline.duration_s for sim, _ in work.tasks[index].recordings),
+        key=lambda index: -sum(sim.spline.duration_s for sim, _ in work.tasks[index][0].recordings),
     )
     n_simulated, peak_mb = 0, 0.0
     if left:
@@ -154,7 +143,7 @@ def run_cells(
     by_cell = {
         id(cell): row
         for index, task in enumerate(work.tasks)
-        for cell, row in zip(task.cells, found[index], strict=True)
+        for cell, row in zip(task, found[index], strict=True)
     }
     runs = _frame(cells, [by_cell[id(cell)] for cell in cells], measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
@@ -219,7 +208,7 @@ class _Work:
         is_last = self.deaths[index] == MAX_DEATHS
         flights = " and ".join(
             f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
-            for sim, seed in self.tasks[index].recordings
+            for sim, seed in self.tasks[index][0].recordings
         )
         what = "given up" if is_last else "run again by a new one"
         say(f"a worker {error} on the flight of {flights}, which is {what}")
@@ -254,18 +243,18 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
 
 def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
-    rows: list[dict[str, Any] | None] = [None] * len(task.cells)
+    rows: list[dict[str, Any] | None] = [None] * len(task)
     try:
         keys = keys_of(task, measure)
         rows = [cache.load_run(key) for key in keys]
-        missing = [cell for cell, row in zip(task.cells, rows, strict=True) if row is None]
+        missing = [cell for cell, row in zip(task, rows, strict=True) if row is None]
         loaded = measure.load(missing, cache) if missing else None
     except WriteError:  # nor can other rows be written
         raise
     except Exception as error:  # any: the rows say so, and other recordings go on
         failed = refusal(measure, error, "recording")
         return [failed if row is None else row for row in rows]
-    for index, (key, cell) in enumerate(zip(keys, task.cells, strict=True)):
+    for index, (key, cell) in enumerate(zip(keys, task, strict=True)):
         row = rows[index]
         if row is not None:
             continue

@@ -180,7 +180,7 @@ def numbered(
 ) -> list[tuple[int, PlainCell]]:
     """Return the numbered cells of shard (i, n), i from 1: those of every n-th task from i on."""
     index, n_shards = shard
-    mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells}
+    mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task}
     return [(number, cell) for number, cell in enumerate(cells) if id(cell) in mine]
 
 

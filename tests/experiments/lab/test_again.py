@@ -33,7 +33,7 @@ def results(tmp_path):
 
 
 def names(drawn):
-    return [(study.name, task.recordings) for study, task in drawn]
+    return [(study.name, task[0].recordings) for study, task in drawn]
 
 
 def test_what_is_drawn():
@@ -47,8 +47,8 @@ def test_what_is_drawn():
     assert drawn[::2] == ["tables"] * 20
     assert "tables" not in drawn[1::2]
     ((_, one),) = draw(sources, 1, 0)
-    assert {cell.method for cell in one.cells} == {method.name for method in OURS}
-    assert {cell.t_d_s for cell in one.cells} == {0.005, 0.05, 0.5}
+    assert {cell.method for cell in one} == {method.name for method in OURS}
+    assert {cell.t_d_s for cell in one} == {0.005, 0.05, 0.5}
 
 
 def test_slow_studies_are_drawn_from_only_if_asked_for():

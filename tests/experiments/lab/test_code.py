@@ -11,7 +11,7 @@ from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE
 from experiments.lab.code import ROOT, SourceTree, code_of
 from experiments.lab.grid import Cell
 from experiments.lab.results import save_text
-from experiments.lab.schedule import Task, run_task
+from experiments.lab.schedule import run_task
 from experiments.lab.scored import SCORED
 from experiments.studies import all_studies
 from sim.recording import SimConfig
@@ -215,7 +215,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
 
     sys.setprofile(note)
     try:
-        done = run_task(Task(tuple(cells)), Cache(tmp_path / "cache"), SCORED)
+        done = run_task(tuple(cells), Cache(tmp_path / "cache"), SCORED)
     finally:
         sys.setprofile(None)
     assert {row["status"] for row in done.rows} <= {"ok", "skipped", "ambiguous_pose"}, done.rows

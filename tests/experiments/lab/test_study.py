@@ -19,7 +19,7 @@ from experiments.lab.cache import Cache, claimed
 from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.pool import DiedError, Pool, Processes
 from experiments.lab.results import SUMS_FILE, csv_text, read_table
-from experiments.lab.schedule import MAX_DEATHS, Task, Workers, recordings_key, run_cells
+from experiments.lab.schedule import MAX_DEATHS, Workers, recordings_key, run_cells
 from experiments.lab.study import Runs, check_runs, numbered, run_study
 from sim.recording import SimConfig
 from ssac.errors import SsacError, WriteError
@@ -214,7 +214,7 @@ def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
     tmp_path, monkeypatch, capsys, finishes
 ):
     cache = Cache(tmp_path)
-    first = Task(tuple(cell for cell in CELLS if cell.number == 0))
+    first = tuple(cell for cell in CELLS if cell.number == 0)
     with ExitStack() as other:
         assert other.enter_context(claimed(cache.claim_of_runs(recordings_key(first))))
 
@@ -244,7 +244,7 @@ class Mortal(Pool):
         self.given = []
 
     def submit(self, job):
-        number = job.args[0].cells[0].number
+        number = job.args[0][0].number
         self.given.append(number)
         if not self.deaths.get(number, 0):
             return super().submit(job)

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.lab.cache import Cache
 from experiments.lab.results import Results, csv_text, png_bytes
-from experiments.lab.schedule import Task, Workers, run_cells, run_task
+from experiments.lab.schedule import Workers, run_cells, run_task
 from experiments.machine import growth, parts
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
 from experiments.machine.parts import PART, PartCell
@@ -37,7 +37,7 @@ def made_up_growth() -> pd.DataFrame:
 
 def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -> None:
     (tmp_path / "bench_growth.csv").write_text(csv_text(made_up_growth()))
-    done = run_task(Task((PartCell("no-such-part"),)), Cache(tmp_path), PART)
+    done = run_task((PartCell("no-such-part"),), Cache(tmp_path), PART)
     rows = pd.DataFrame([{"part": "a", "status": "ok", "reason": "", "measurements": []}])
     failed = {"part": "no-such-part", **done.rows[0]}
     table = bench_table(pd.concat([rows, pd.DataFrame([failed])]), Results(tmp_path))
