@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from sim.recording import SimConfig
+from ssac.pipeline.registry import METHODS
 
 CRASHED = "crashed"  # status of a run whose simulation or measure raised no SsacError but another
 UNUSABLE = "unusable"  # status of a run on data that the method refuses with an SsacError
@@ -39,7 +40,8 @@ class PlainCell:
     @property
     def inputs(self) -> Any:
         """All that the row depends on besides recordings and code, for `cache.content`."""
-        return tuple(self.own.values())
+        method = METHODS.get(getattr(self, "method", ""))
+        return *self.own.values(), method.version if method else None
 
 
 @dataclass(frozen=True)

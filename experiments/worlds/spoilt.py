@@ -21,7 +21,6 @@ from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Camera, Rig, with_deviations
-from ssac.pipeline.registry import METHODS
 from ssac.track.observation import Observation
 
 T_D_S = 0.05
@@ -53,11 +52,6 @@ class KindCell(FlightCell):
     def columns(self) -> dict[str, Any]:
         """Columns that say which run it is."""
         return {"kind": self.kind, **self.flown, "method": self.method}
-
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What the row depends on beside the recording and the code."""
-        return *self.own.values(), METHODS[self.method].version
 
 
 def kind_cells(
