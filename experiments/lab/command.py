@@ -1,7 +1,6 @@
 """The commands that run studies; their options are ALL_OPTIONS and the parameters of `cells`."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -11,12 +10,9 @@ import typer
 
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import CRASHED
-from experiments.lab.grid import Cell
 from experiments.lab.results import Results
 from experiments.lab.schedule import Outcome, Workers
 from experiments.lab.study import WHOLE, How, Options, Study, check_reads, parse_shard, save_study
-from sim.recording import SimConfig
-from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.cli.options import argument, named
 from ssac.errors import PluginError, SsacError
@@ -45,15 +41,6 @@ SchedulerOption = Annotated[
 ]
 OutOption = Annotated[Path, named("FOLDER", "Folder for the results.")]
 CacheOption = Annotated[Path, named("FOLDER", "Folder that keeps finished recordings and runs.")]
-
-RendererOption = Annotated[str, named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL).")]
-CheckOption = Annotated[
-    bool,
-    typer.Option(
-        "--check/--no-check",
-        help="Check some instants against OpenGL; --no-check where there is none.",
-    ),
-]
 ShardOption = Annotated[
     str, named("I/N", "Run only part I of N and write its runs; join them with `ssac merge`.")
 ]
@@ -160,21 +147,6 @@ def on_screen(table: pd.DataFrame) -> str:
             text = (mean + "±" + half + " " + median).str.replace("±nan", "")
             shown[f"{error} ± median"] = text.where(table[name].notna(), "")
     return pd.DataFrame(shown).to_string(index=False, line_width=_SCREEN)
-
-
-def check_is_folder(out: Path) -> None:
-    """Raise SsacError, before any work is done, when the folder for the results does not exist."""
-    if not out.is_dir():
-        raise SsacError(f"{out}: there is no such folder: make it, or name another")
-
-
-def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
-    """Return the same cells with another renderer, and its check against OpenGL on or off."""
-
-    def drawn(sim: SimConfig) -> SimConfig:
-        return replace(sim, render=replace(sim.render, renderer=renderer, check=check))
-
-    return [replace(cell, sim=drawn(cell.sim)) for cell in cells]
 
 
 def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:

@@ -33,7 +33,7 @@ DPI = 220
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Results:
     """The CSVs, provenances and pages of one folder, each read once; SsacError if one is missing.
 

@@ -39,8 +39,7 @@ PUBLISHED_RUNS = 10
 """Number of runs in each cell of the paper. All 30 published means of ZNCC_E are tenths of sums of
 multiples of its unit of 10 ms, and so are the deviations if taken over 10 runs, not over 10 - 1."""
 
-PLACE = ["angle_deg", "t_d_ms"]
-"""Columns that identify the cell of a table."""
+PLACE = ["angle_deg", "t_d_ms"]  # columns that identify the cell of a table
 
 
 @dataclass(frozen=True)

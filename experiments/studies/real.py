@@ -18,7 +18,7 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.drawing.style import ACCENT, Axes, Figure, panels, quiet_axes
-from experiments.lab.command import OutOption, check_is_folder
+from experiments.lab.command import OutOption
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.scored import SCORED
@@ -31,6 +31,7 @@ from ssac.arrays import Array
 from ssac.cli.progress import say
 from ssac.clock import PPM, Clock
 from ssac.config import CLOCKS
+from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
@@ -75,7 +76,8 @@ def real_command(
     """
     from ssac.pipeline.plots import draw_comparison
 
-    check_is_folder(out)
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
     start_s, paths, sets = time.perf_counter(), list[tracks.Row](), list[tracks.DataSet]()
     pictures = dict[str, bytes]()
     with TemporaryDirectory() as work:

@@ -1,81 +1,63 @@
 """The paper's simulation tables: every method on every recording, beside what the paper gives."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.drawing.errors import beyond_figure, error_figure, success_figure
 from experiments.lab.cell import CRASHED
-from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
+from experiments.lab.command import command_of
 from experiments.lab.grid import Cell
-from experiments.lab.results import Results, read_table
+from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, Made, Runs, Study
 from experiments.lab.summary import answered, digits, listed, markdown_table, records
 from experiments.lab.verify import scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
-from experiments.paper.comparison import load_published
-from experiments.paper.esim import DURATIONS_S, ERRORS, TABLES, table_cells
+from experiments.paper.comparison import PUBLISHED_ERRORS, load_published
+from experiments.paper.esim import DURATIONS_S, ERRORS, TABLES, Quantity, table_cells
 from experiments.paper.page import results_page
+from experiments.scenes.options import OPTIONS, changed
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
-SYMBOLS = {error.symbol: error for error in ERRORS.values()}
-"""The errors by their symbols in the names of quoted numbers."""
 
-PUBLISHED = {  # in names of quoted numbers, and as quantities of comparison.csv
-    "ssac.t_d": "ssac_t_d_error_ms",
-    "ssac.R": "ssac_r_error_deg",
-    "ssac.t": "ssac_t_error_deg",
-    "zncc_e.t_d": "zncc_e_t_d_error_ms",
-    "zncc_f.t_d": "zncc_f_t_d_error_ms",
-}
+PUBLISHED = {f"{one.method}.{ERRORS[one.error].symbol}": one.name for one in PUBLISHED_ERRORS}
+"""Quantities of comparison.csv, by their names in those of quoted numbers."""
 
 _SEARCH_MS = 1000.0 + 20.0  # searched on each side of the truth, and a unit of the coarsest method
 
 
-def cells(renderer: RendererOption = "native", check: CheckOption = True) -> list[Cell]:
+def cells(
+    renderer: Annotated[str, OPTIONS["renderer"].info] = "native",
+    check: Annotated[bool, OPTIONS["check"].info] = True,
+) -> list[Cell]:
     """List every run of the tables, with the columns that tell the runs apart there."""
-    return [replace(cell, parameters=_place(cell))
-            for cell in drawn_by(table_cells(), renderer, check)]  # fmt: skip
-
-
-def _place(cell: Cell) -> dict[str, float]:
-    sim = cell.sim
-    return {"duration_s": sim.spline.duration_s, "angle_deg": sim.angle_deg,
-            "t_d_ms": esim.offset_ms(cell)}  # fmt: skip
+    drawn_by = {"sim.render.renderer": renderer, "sim.render.check": check}
+    return [changed(cell, drawn_by | {"parameters": esim.place_of(cell)}) for cell in table_cells()]
 
 
 # --- What is made of the runs ---
 
 
+@lru_cache(maxsize=1)
 def runs_of(results: Results) -> pd.DataFrame:
     """Read the runs."""
-    return _read(results.text("runs.csv"))
-
-
-@lru_cache(maxsize=1)
-def _read(text: str) -> pd.DataFrame:
-    runs = read_table(text)
+    runs = results.table("runs")
     absent = [column for column in esim.RUN_COLUMNS if column not in runs]
     if absent:
         raise SsacError(f"runs.csv: lacks the columns {listed(absent)}: run make tables again")
     return esim.ordered_runs(runs)
 
 
+@lru_cache(maxsize=1)
 def comparison(results: Results) -> pd.DataFrame:
     """Compare the paper's tables with ours of all flights, and of the first as many as it has."""
-    return _compared(results.text("runs.csv"))
-
-
-@lru_cache(maxsize=1)
-def _compared(text: str) -> pd.DataFrame:
-    runs = _read(text)
+    runs = runs_of(results)
     first = esim.esim_tables(runs[runs["flight"] < compared.PUBLISHED_RUNS])
     published = load_published()
     return compared.comparison_table(esim.esim_tables(runs), published, first=first)
@@ -161,23 +143,21 @@ def cell_means(results: Results, method: str, error: str) -> list[float]:
     return [v for name in TABLES for v in results.column(name, f"{method}_{error}_mean")]
 
 
-def mark_met(results: Results, symbol: str) -> str:
+def mark_met(results: Results, error: Quantity) -> str:
     """Say in how many cells the mean error of `tangency` is at most its mark."""
-    error = SYMBOLS[symbol]
     means = cell_means(results, "tangency", error.column)
     return f"{sum(mean <= error.mark for mean in means)} of {len(means)} cells"
 
 
-def largest(results: Results, symbol: str) -> str:
+def largest(results: Results, error: Quantity) -> str:
     """Say what the largest mean error of `tangency` in a cell is."""
-    error = SYMBOLS[symbol]
     return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
 
 
-def share_of_papers(results: Results, symbol: str) -> str:
+def share_of_papers(results: Results, error: Quantity) -> str:
     """Give the mean error of `tangency` over that of the paper's SSAC, and its most in a cell."""
-    papers = results.column("comparison", "published_mean", quantity=PUBLISHED[f"ssac.{symbol}"])
-    ours = np.array(cell_means(results, "tangency", SYMBOLS[symbol].column))  # in the same order
+    papers = results.column("comparison", "published_mean", quantity=f"ssac_{error.column}")
+    ours = np.array(cell_means(results, "tangency", error.column))  # in the same order
     return f"{ours.mean() / papers.mean():.2f} (at most {(ours / papers).max():.2f})"
 
 
@@ -192,7 +172,7 @@ def methods_table(results: Results) -> str:
     rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
         ranges = []
-        for error in (quantity.column for quantity in SYMBOLS.values()):
+        for error in ERRORS:
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
             # R and t of methods with a known pose are those that they were given
             is_given = method.endswith("-known") and error != esim.T_D_ERROR.column
@@ -200,7 +180,7 @@ def methods_table(results: Results) -> str:
             known = means[np.isfinite(means)]
             ranges.append(f"{digits(known.min())} to {digits(known.max())}" if len(known) else "")
         rows.append([f"`{method}`", *ranges])
-    return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
+    return markdown_table(["method", *(error.heading for error in ERRORS.values())], rows)
 
 
 NUMBERS: Mapping[str, Callable[[Results], str]] = {
@@ -213,9 +193,9 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
         for d in DURATIONS_S
     },
     "tables.runs": tables_answered,
-    **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
-    **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
-    **{f"paper.share.{s}": partial(share_of_papers, symbol=s) for s in SYMBOLS},
+    **{f"tables.mark.{of.symbol}": partial(mark_met, error=of) for of in ERRORS.values()},
+    **{f"tables.largest.{of.symbol}": partial(largest, error=of) for of in ERRORS.values()},
+    **{f"paper.share.{of.symbol}": partial(share_of_papers, error=of) for of in ERRORS.values()},
     "table.methods": methods_table,
 }
 

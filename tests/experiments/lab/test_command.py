@@ -15,10 +15,11 @@ from typer.testing import CliRunner
 from experiments.lab import schedule, study
 from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED, Measure
-from experiments.lab.command import command_of, drawn_by, finish, on_screen
+from experiments.lab.command import command_of, finish, on_screen
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Runs
-from experiments.paper.esim import table_cells
+from experiments.scenes.options import changed
+from experiments.studies import tables
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.cli.options import number
@@ -29,11 +30,10 @@ from tests.experiments.lab.squares import SQUARES, SquareRow, load_nothing, proc
 @pytest.mark.parametrize("renderer", RENDERERS)
 @pytest.mark.parametrize("check", [True, False])
 def test_the_renderer_changes_what_draws_and_nothing_else(renderer, check):
-    cells = table_cells()[:7]
-    drawn = drawn_by(cells, renderer, check)
-    for after in drawn:
+    default = {"sim.render.renderer": RENDERERS[0], "sim.render.check": True}
+    for after, before in zip(tables.cells(renderer, check), tables.cells(), strict=True):
         assert (after.sim.render.renderer, after.sim.render.check) == (renderer, check)
-    assert drawn_by(drawn, RENDERERS[0], True) == list(cells)
+        assert changed(after, default) == before
 
 
 NOT_SIMULATED = "recording: SimError: a.obj has no faces"
