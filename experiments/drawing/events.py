@@ -40,8 +40,7 @@ from ssac.search.two_views import TwoViews
 STRETCH_S = (0.2, 2.2)
 """Part of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
 
-SEARCH_S = 1.0
-"""Half the width of Fig. 5 (a)."""
+SEARCH_S = 1.0  # half the width of Fig. 5 (a)
 
 PICTURES = 12, 30, 20
 """Numbers of pictures of the animation before the offset moves, while it does, and after."""

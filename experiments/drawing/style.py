@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 else:
     Axes = Figure = Any
 
-WIDTH_IN = 8.0
-"""Width of every figure; at DPI it is twice as wide as a README shows."""
+WIDTH_IN = 8.0  # of every figure; at DPI it is twice as wide as a README shows
 
 ACCENT = "#6F4C9B"
 """Colour of a line or marker that is of no method; what it is compared with is grey."""
@@ -32,8 +31,7 @@ FILLS = ("#77AADD", "#EE8866", "#EEDD88", "#DDDDDD")
 _DURATIONS = {10.0: "#AA3377", 20.0: "#CCBB44"}
 _ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
 
-Named = tuple[str, dict[str, Any]]
-"""Text and look of an entry of a legend."""
+Named = tuple[str, dict[str, Any]]  # text and look of an entry of a legend
 
 PAPER: dict[str, Any] = {"marker": "*", "ls": ":", "ms": 9}
 """Look of the paper's mean, in the colour of its method."""

@@ -234,8 +234,7 @@ BASE, FIRST, N_RECORDINGS = 300, 2650, 600
 On those before, and bases 1 to 5, 100, 101 and 200, some were made.
 """
 
-SPARED = "spared"
-"""Status of a setting that was not tried, as the default is right."""
+SPARED = "spared"  # status of a setting that was not tried, as the default is right
 
 MAX_SIGMAS, MAX_ERROR_MS, MAX_ERROR_DEG = 4.0, 10.0, 3.0
 """An estimate is right if its offset is within both bounds of it, and its pose within one."""

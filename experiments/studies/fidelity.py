@@ -5,7 +5,6 @@
 `tangency` is without a body.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -16,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, FlightCell, Measure, RunRow
-from experiments.lab.recorded import Pair, recorded_pair
+from experiments.lab.cell import Flight, FlightCell, Measure, RunRow, load_nothing
+from experiments.lab.recorded import recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, markdown_table, shown_cells
@@ -101,13 +100,9 @@ def reference_config(config: SimConfig) -> SimConfig:
     return replace(config, sampling=sampling, render=render)
 
 
-def load_both(cells: Sequence[FidelityCell], cache: Cache) -> list[Pair]:
-    """Load a recording and its reference."""
-    return [recorded_pair(cache, *flight) for flight in cells[0].recordings]
-
-
-def fidelity_row(cell: FidelityCell, both: list[Pair]) -> FidelityRow:
+def fidelity_row(cell: FidelityCell, cache: Cache) -> FidelityRow:
     """Compare a recording with its reference."""
+    both = [recorded_pair(cache, *flight) for flight in cell.recordings]
     cameras = zip(both[0][:2], both[1][:2], strict=True)
     each = [compare_events(ours.events, theirs.events) for ours, theirs in cameras]
     # Only a method that needs the true pose is given it.
@@ -241,7 +236,7 @@ def renderer_faults(results: Results) -> list[str]:
     return [f"{name}: {size:g} ms" for name, size in sizes if not size <= RENDERER_TOLERANCE_MS]
 
 
-_MEASURE = Measure(load_both, fidelity_row, FidelityRow)
+_MEASURE = Measure(load_nothing, fidelity_row, FidelityRow)
 
 STUDIES = (
     Study(

@@ -294,11 +294,6 @@ def means(flights: pd.DataFrame) -> dict[str, Any]:
     return {"answered": len(given), "of": len(flights), **given[MEASURED].mean()}
 
 
-def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum the flights up by kind."""
-    return by_group(runs, ("kind",), means)
-
-
 def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
     """Return the recording of which the figure is drawn."""
     return ((outdoor_config(duration), seed_of(0)),)
@@ -491,7 +486,7 @@ STUDIES = (
         Measure(load_outdoor, outdoor_row, OutdoorRow),
         Runs("outdoor.csv", ("flight", "kind"), numbered=False,
              columns=("flight", "kind", "status", *MEASURED, "reason")),
-        (made_of("outdoor_oracle.csv", oracle_table, "outdoor"),
+        (made_of("outdoor_oracle.csv", lambda of: by_group(of, ("kind",), means), "outdoor"),
          Made("outdoor.png", first_flight, recordings=first_recording)),
         numbers={"table.outdoor": page_table},
         checks=(("a median is no maximum", ordered("outdoor", "median_m", "max_m")),

@@ -65,11 +65,6 @@ def published_tables() -> dict[float, pd.DataFrame]:
     return load_published(PUBLISHED, "mini", DURATIONS_S)
 
 
-def mini_figure(runs: pd.DataFrame) -> Figure:
-    """Draw the errors of a table beside the paper's."""
-    return error_figure(runs, published_tables(), "Small-scale experiment")
-
-
 def comparison(results: Results) -> pd.DataFrame:
     """Compare both tables with the paper's, cell by cell."""
     tables = {duration_s: results.table(f"mini_{duration_s:g}") for duration_s in DURATIONS_S}
@@ -123,7 +118,8 @@ def _study(duration_s: float, *more: Made, **others: Any) -> Study:
         bench.PHYSICAL,
         Runs(f"{name}_runs.csv", ("angle_deg", "t_d_ms", "flight", "method")),
         (made_of(f"{name}.csv", partial(esim_table, duration_s=duration_s), f"{name}_runs"),
-         made_of(f"{name}.png", mini_figure, f"{name}_runs"),
+         made_of(f"{name}.png", lambda runs: error_figure(
+             runs, published_tables(), "Small-scale experiment"), f"{name}_runs"),
          *more),
         checks=scored_checks(f"{name}_runs"),
         config=_config(duration_s),
