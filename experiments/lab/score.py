@@ -98,13 +98,16 @@ def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
         return dict.fromkeys(POSE_SCORES, np.nan)
     errors_rad = -pose_step(estimate.R, estimate.t, R, t)
     covariance = estimate.covariance[1:, 1:]
-    mahalanobis = (
-        float(np.sqrt(errors_rad[of] @ np.linalg.solve(covariance[of, of], errors_rad[of])))
-        for of in (slice(3), slice(3, None))
-    )
+    both = slice(3), slice(3, None)
+    distances = (mahalanobis(errors_rad[of], covariance[of, of]) for of in both)
     normalised = (errors_rad / np.sqrt(np.diag(covariance))).tolist()
-    values = (estimate.r_std_deg, estimate.t_std_deg, *mahalanobis, *normalised)
+    values = (estimate.r_std_deg, estimate.t_std_deg, *distances, *normalised)
     return dict(zip(POSE_SCORES, values, strict=True))
+
+
+def mahalanobis(off: Array, covariance: Array) -> float:
+    """Return the Mahalanobis distance of an error (n,) with a covariance (n, n)."""
+    return float(np.sqrt(off @ np.linalg.solve(covariance, off)))
 
 
 def rotation_angle_deg(R: Array) -> float:

@@ -26,6 +26,7 @@ from experiments.lab.command import command_of
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
+from experiments.lab.score import mahalanobis
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, by_group, digits, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows, one_of
@@ -61,6 +62,11 @@ T_D_S = (0.0, 0.05, -0.23, 0.41)
 
 N_CAMERAS = len(T_D_S)
 ANGLE_DEG = 60.0  # from each camera to the next, on a half circle
+FOUR_CAMERAS = ManyCameras(
+    angle_deg=ANGLE_DEG, frames=FrameConfig(rate_hz=0.0), n_cameras=N_CAMERAS
+)
+"""The default flight and drone, before four cameras with ideal sensors and equal clocks."""
+
 N_FLIGHTS = 4
 FIRST_SEED = 78_000  # those from 73,000 to 77,003 were looked at
 AS_RECORDED, TRUE_TRACKS = "as_recorded", "true_tracks"
@@ -74,15 +80,6 @@ _HELD = {name.lower(): QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
 _WORST = ("t_d_error_ms", "r_error_deg", "t_error_deg", "path_rmse_mm")
 
 Flights = Annotated[int, number("Flights seen by four cameras.", 1, 1000, metavar="COUNT")]
-
-
-@dataclass(frozen=True)
-class FourCameras(ManyCameras):
-    """The default flight and drone, before four cameras with ideal sensors and equal clocks."""
-
-    angle_deg: float = ANGLE_DEG
-    frames: FrameConfig = field(default_factory=lambda: FrameConfig(rate_hz=0.0))
-    n_cameras: int = N_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -121,9 +118,8 @@ class Flown:
 
 def cells(flights: Flights = N_FLIGHTS) -> list[CameraCell]:
     """List every camera of each flight and kind."""
-    sim = FourCameras()
     return [
-        CameraCell(sim, flight, FIRST_SEED + flight, kind, camera)
+        CameraCell(FOUR_CAMERAS, flight, FIRST_SEED + flight, kind, camera)
         for flight in range(flights)
         for kind in KINDS
         for camera in range(1, N_CAMERAS + 1)
@@ -160,9 +156,8 @@ def _written(work: Path, kind: str, k: int, flown: Flown) -> Path:
     clock = Clock(T_D_S[k])
     if kind == TRUE_TRACKS:
         file = work / f"cam{k + 1}.csv"
-        resolution = FourCameras().resolution
         times_s, centres_px = flown.truth.times_s, flown.truth.centres_px[k]
-        save_track(file, true_track(times_s, centres_px, clock, resolution, 2))
+        save_track(file, true_track(times_s, centres_px, clock, FOUR_CAMERAS.resolution, 2))
         return file
     file = work / f"cam{k + 1}.h5"
     write_synced(file, load_events(flown.folder / file.name), clock.inverse())
@@ -185,15 +180,11 @@ def _pose_figures(answer: NetworkAnswer, k: int, truth: FlightTruth) -> dict[str
         "r_error_deg": float(np.rad2deg(np.linalg.norm(turned))),
         "t_d_normalised": t_d_error_ms / (1e3 * camera.t_d_std_s),
         "skew_normalised": camera.skew_ppm / camera.skew_std_ppm,
-        "r_mahalanobis": _mahalanobis(turned, part[ROTATION, ROTATION]),
-        "t_mahalanobis": _mahalanobis(
+        "r_mahalanobis": mahalanobis(turned, part[ROTATION, ROTATION]),
+        "t_mahalanobis": mahalanobis(
             across @ direction * length, across @ part[TRANSLATION, TRANSLATION] @ across.T
         ),
     }
-
-
-def _mahalanobis(off: Array, covariance: Array) -> float:
-    return float(np.sqrt(off @ np.linalg.solve(covariance, off)))
 
 
 def _path_figures(answer: NetworkAnswer, truth: FlightTruth) -> dict[str, Any]:
@@ -423,7 +414,7 @@ FOUR = (
         ),
         config={"n_flights": N_FLIGHTS, "first_seed": FIRST_SEED, "angle_deg": ANGLE_DEG,
                 "t_d_s": T_D_S, "kinds": KINDS,
-                "sim": {name: value for name, value in plain(FourCameras()).items()
+                "sim": {name: value for name, value in plain(FOUR_CAMERAS).items()
                         if name != "n_cameras"}},  # which `t_d_s` implies
         command=COMMAND,
     ),

@@ -25,14 +25,14 @@ def truth_of(times_s: np.ndarray, positions_m: np.ndarray, turns: Rotation) -> F
 
 
 def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
-    four, two = network.FourCameras(), SimConfig(angle_deg=network.ANGLE_DEG)
+    four, two = network.FOUR_CAMERAS, SimConfig(angle_deg=network.ANGLE_DEG)
     for camera, other in zip(*(one.scene(0).rig.cameras for one in (four, two)), strict=False):
         np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
     assert recording_key(four, 0) != recording_key(two, 0)
 
 
 def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None:
-    config = network.FourCameras()
+    config = network.FOUR_CAMERAS
     scene = config.scene(5)
     (tmp_path / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))
     times_s = np.arange(0.0, config.spline.duration_s, 0.005)
