@@ -22,7 +22,6 @@ from sim.sensor.events import PRESETS
 from ssac.cli.progress import progress
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import solve_pairs
 from ssac.pipeline.registry import OURS
 from ssac.track.faint import faint_object_events
@@ -54,8 +53,8 @@ def main() -> None:
         (sim, seed), *_ = tasks[0][0][0].recordings
         # Long enough to recognise a rigid body.
         longer = replace(sim, spline=replace(sim.spline, duration_s=2.0 * DURATION_S))
-        cam1, cam2, rig = recorded_pair(cache, longer, seed)
-        chain = Chain((cam1, cam2), rig, Config(search="all"))
+        cam1, _, rig = pair = recorded_pair(cache, longer, seed)
+        chain = pair.chain(Config(search="all"))
         solve_pairs(chain, {(0, 1): chain.answer()})
         with suppress(SsacError):  # even if it finds nothing, its kernels are compiled
             faint_object_events(cam1.events, rig.cam1.width, rig.cam1.height)

@@ -18,11 +18,12 @@ from sim.scene.drone import drone_from_file
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
-from ssac.config import Cleaning
+from ssac.config import Cleaning, Config
 from ssac.errors import SsacError
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.readable import readable
 from ssac.files.rigs import load_rig
+from ssac.pipeline.chain import Chain
 from ssac.track.clean import Clean, clean
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation
@@ -87,6 +88,10 @@ class Pair(NamedTuple):
     cam1: Observation
     cam2: Observation
     rig: Rig  # with the true extrinsics
+
+    def chain(self, config: Config | None = None) -> Chain:
+        """Give all as the input of methods."""
+        return Chain((self.cam1, self.cam2), self.rig, config)
 
 
 def load_pair(folder: Path) -> Pair:

@@ -306,14 +306,14 @@ class Tried:
     @cached_property
     def chain(self) -> Chain:
         """What all settings share that leave the rig as it is; SsacError if that is unusable."""
-        return Chain(self.pair[:2], self.pair.rig)
+        return self.pair.chain()
 
     def said(self, setting: Setting) -> HandRow:
         """Run a setting, and score what it says."""
         chain, rig = self.chain, self.pair.rig
         if setting.deviations != (None, None):
             one, other = (with_deviations(of, *setting.deviations) for of in (rig.cam1, rig.cam2))
-            chain = Chain(self.pair[:2], Rig(one, other, rig.T_2_1))
+            chain = self.pair._replace(rig=Rig(one, other, rig.T_2_1)).chain()
         start_s = time.process_time()
         estimate = chain.under(setting.config).estimate(setting.method)
         cpu_s = time.process_time() - start_s

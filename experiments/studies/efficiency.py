@@ -51,7 +51,6 @@ from ssac.geometry.epipolar import (
 from ssac.geometry.pose import pose_jacobian
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.tangency import tangent_times, tangents_under
-from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews
 
 Flown = tuple[TwoViews, FlightTruth]  # the views that methods are given, and the ground truth
@@ -81,8 +80,7 @@ class BoundRow(RunRow):
 def load_flown(cells: Sequence[BoundCell], cache: Cache) -> Flown:
     """Load a flight."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
-    cam1, cam2, rig = load_pair(folder)
-    return Chain((cam1, cam2), rig, cells[0].estimator).views(), load_truth(folder)
+    return load_pair(folder).chain(cells[0].estimator).views(), load_truth(folder)
 
 
 def bound_row(cell: BoundCell, flown: Flown) -> BoundRow:

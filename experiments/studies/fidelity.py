@@ -28,7 +28,6 @@ from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import IntArray
 from ssac.config import Config
-from ssac.pipeline.chain import Chain
 from ssac.rules import DEFAULT_RULES, TangencyRules
 
 SHARES = ("median_us", "p95_us", "spurious", "missing")
@@ -106,7 +105,7 @@ def fidelity_row(cell: FidelityCell, cache: Cache) -> FidelityRow:
     cameras = zip(both[0][:2], both[1][:2], strict=True)
     each = [compare_events(ours.events, theirs.events) for ours, theirs in cameras]
     # Only a method that needs the true pose is given it.
-    ours, theirs = (Chain((pair.cam1, pair.cam2), pair.rig, cell.estimator) for pair in both)
+    ours, theirs = (pair.chain(cell.estimator) for pair in both)
     n_reference, *shares = (
         float(np.mean([getattr(camera, name) for camera in each]))
         for name in ("n_reference", *SHARES)

@@ -29,7 +29,6 @@ from sim.disturb import DisturbConfig
 from ssac.arrays import Mask
 from ssac.camera import known_pose
 from ssac.estimate import Estimate
-from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
@@ -130,12 +129,7 @@ def load_flown(cells: Sequence[KindCell], cache: Cache) -> Flown:
 def imperfect_row(cell: KindCell, flown: Flown) -> ImperfectRow:
     """Run one method on one kind, and score what it says."""
     kind, duration_s = KINDS[cell.kind], cell.sim.spline.duration_s
-
-    def make() -> Chain:
-        pair = spoilt.spoilt_pair(flown, kind, duration_s)
-        return Chain((pair.cam1, pair.cam2), pair.rig)
-
-    chain = flown.made(cell.kind, make)
+    chain = flown.made(cell.kind, lambda: spoilt.spoilt_pair(flown, kind, duration_s).chain())
     truth = truth_of(flown, kind, duration_s)
     columns = given_columns(chain.estimate(cell.method), truth)
     n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))

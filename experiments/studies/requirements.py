@@ -30,7 +30,6 @@ from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.pipeline.chain import Chain
 
 METHOD = "tangency"  # the default of `ssac sync`
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
@@ -203,7 +202,7 @@ def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:
     if required.skew_prior_ppm is not None:
         config = replace(config, skew_prior_ppm=required.skew_prior_ppm)
     start_s = time.process_time()
-    estimate = Chain((pair.cam1, pair.cam2), pair.rig, config).estimate(METHOD)
+    estimate = pair.chain(config).estimate(METHOD)
     cpu_s = time.process_time() - start_s
     truth = imperfect.truth_of(flown, kind, duration_s)
     columns = imperfect.given_columns(estimate, truth) | ends_of(estimate, truth)
@@ -231,8 +230,8 @@ def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
     """Return how far t_d [ms], R and t [deg] are from the estimate with exact intrinsics."""
 
     def exactly() -> Estimate:
-        cam2 = flown.flight.cam2.delayed(T_D_S)
-        return Chain((flown.flight.cam1, cam2), flown.flight.rig).estimate(METHOD)
+        pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
+        return pair.chain().estimate(METHOD)
 
     exact = flown.made("exact", exactly)
     if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:

@@ -35,7 +35,6 @@ from ssac.geometry.pose import Pencil
 from ssac.methods import tangency
 from ssac.methods.rigid_body import body_points
 from ssac.methods.tangency import TangencyConfig, refine_tangents
-from ssac.pipeline.chain import Chain
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.search.two_views import TwoViews
@@ -133,9 +132,9 @@ def variant_cells() -> list[VariantCell]:
 
 def load_started(cells: Sequence[VariantCell], cache: Cache) -> tuple[Estimate, TwoViews, Rig]:
     """Run the joint refinement on a flight, from which all variants start."""
-    cam1, cam2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
-    answer = Chain((cam1, cam2), rig).answer("joint")
-    return answer.estimate, answer.views, rig
+    pair = recorded_pair(cache, cells[0].sim, cells[0].seed)
+    answer = pair.chain().answer("joint")
+    return answer.estimate, answer.views, pair.rig
 
 
 def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> VariantRow:
@@ -303,12 +302,13 @@ def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
 
 def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
     """Run `tangency` with the truth in place of a part, and score its estimate."""
-    (cam1, cam2, rig), cause = filmed_pair.pair, cell.cause
+    pair, cause = filmed_pair.pair, cell.cause
     config = Config(skew_prior_ppm=0.0) if cause == CLOCKS else Config()
     method = "tangency-known" if cause == POSE else "tangency"
     with patch.multiple(tangency, **filmed_pair.instead(cause)):
-        estimate = Chain((cam1, cam2), rig, config).estimate(method)
-    return ErrorRow(**kept(ErrorRow, scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))))
+        estimate = pair.chain(config).estimate(method)
+    truth = Truth(cell.sim.t_d_s, *known_pose(pair.rig))
+    return ErrorRow(**kept(ErrorRow, scored(estimate, truth)))
 
 
 def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
