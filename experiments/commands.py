@@ -28,6 +28,7 @@ from experiments.lab.schedule import Workers
 from experiments.lab.study import How, Study, merge
 from experiments.lab.verify import Finding, file_findings, found, shared_findings, study_findings
 from experiments.paper.comparison import PUBLISHED_SHA256
+from experiments.scenes.options import MAX_SEED
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
 from ssac.cli.options import argument, flag, named, number
@@ -35,7 +36,6 @@ from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable
 
 N_RECORDINGS = 6  # by default the number of recordings that `ssac verify` draws
-_SEEDS = 2**32
 
 
 @running
@@ -153,7 +153,7 @@ def verify_command(
     ] = N_RECORDINGS,
     sample_seed: Annotated[
         int | None,
-        number("Seed of the draw of those recordings.", 0, _SEEDS - 1, default_words="a new one"),
+        number("Seed of the draw of those recordings.", 0, MAX_SEED, default_words="a new one"),
     ] = None,
     slow: Annotated[
         bool, flag("slow", "Draw from studies that take minutes a recording too.")
@@ -175,7 +175,7 @@ def verify_command(
     failed += _report(shared_findings(committed, kept))
     failed += _report(page_findings(results))
     if recordings:
-        seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
+        seed = secrets.randbelow(MAX_SEED + 1) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
         options += f" --only {only}" if only else ""
         typer.echo(f"recordings drawn by: ssac verify {options}")

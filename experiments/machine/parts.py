@@ -47,11 +47,11 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Measurement:
-    """A measured value, its unit, and the mark that it is to reach."""
+    """A measured value, NaN where none was, its unit, and the mark that it is to reach."""
 
     name: str
-    value: float
-    unit: str
+    value: float = np.nan
+    unit: str = ""
     mark: float = np.nan  # NaN: none, the value is for information
     higher_is_better: bool = False
 

@@ -7,6 +7,7 @@ import numpy as np
 import typer
 
 from experiments.lab.recorded import observations, rig_of
+from experiments.scenes.options import MAX_SEED
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
@@ -70,7 +71,7 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
 
 def scene_command(
     seeds: Annotated[int, number("Flights to average over.", 1, 1000, metavar="COUNT")] = 10,
-    first_seed: Annotated[int, number("Seed of the first flight.", 0, 2**32 - 1)] = 0,
+    first_seed: Annotated[int, number("Seed of the first flight.", 0, MAX_SEED)] = 0,
     drone: Annotated[str, named("NAME", f"Drone: {', '.join(DRONES)}.")] = SimConfig.drone,
 ) -> None:
     """Print how the default scene looks to the method, beside the authors' public sample."""

@@ -82,19 +82,15 @@ def bench_table(rows: pd.DataFrame, results: Results) -> pd.DataFrame:
         if row["status"] == "ok":
             measured += [Measurement(**one) for one in row["measurements"]]
         else:
-            measured.append(_missing(f"{row['part']}: not measured ({row['reason']})"))
+            measured.append(Measurement(f"{row['part']}: not measured ({row['reason']})"))
     measured += growth_rows(results.table("bench_growth"))
     return pd.DataFrame([asdict(one) | {"verdict": one.verdict} for one in measured])
-
-
-def _missing(name: str) -> Measurement:
-    return Measurement(name, float("nan"), "")
 
 
 def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     """Sum up the steps: how time and memory grow, and the largest point beside its marks."""
     rows = [
-        _missing(f"growth, {row.sensor}, {row.duration_s:g} s, {row.step}: {row.status}")
+        Measurement(f"growth, {row.sensor}, {row.duration_s:g} s, {row.step}: {row.status}")
         for row in table[table["status"] != "ok"].itertuples()
     ]
     table = answered(table)

@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,13 +27,11 @@ from experiments.lab.score import kept, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import by_group, made_of, quoted, quoted_of
 from experiments.paper.esim import ANGLES_DEG
-from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
 from experiments.studies.imperfect import ImperfectRow, given_columns
 from experiments.worlds import open_flights
 from experiments.worlds.open_flights import CAUSES, KINDS, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
-from ssac.cli.options import number
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.pipeline.chain import Chain
@@ -228,10 +226,7 @@ ADVICE: Mapping[str, Follow] = {
 """What each phrase of advice in a reason asks for."""
 
 
-def reason_cells(
-    base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = BASE,
-    recordings: Annotated[int, number("How many of each cause.", 1, BASE_STEP)] = N_RECORDINGS,
-) -> list[KindCell]:
+def reason_cells(base: int = BASE, recordings: int = N_RECORDINGS) -> list[KindCell]:
     """List the recordings of all causes, those of one flight together."""
     cells = []
     for index in range(recordings):
