@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +25,7 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import CacheOption
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE, Results, save_text
-from experiments.lab.score import score
+from experiments.lab.score import Score, score
 from experiments.lab.summary import answered, digits
 from experiments.paper.comparison import VERDICTS
 from experiments.paper.esim import ERRORS, esim_tables
@@ -33,6 +34,7 @@ from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
 from ssac.cli.options import named
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
 from ssac.pipeline import html_report
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.plots import d_avg_px
@@ -128,12 +130,19 @@ def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def make_animation(folder: Path) -> dict[str, Any]:
-    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead.
+@dataclass(frozen=True)
+class Animation:
+    """The player's data, and the estimate that it shows."""
 
-    Returns the player's data, and the estimate that it shows, with its errors and d_avg [px] with
-    the clocks as recorded, `before_px`, and with the estimated offset, `after_px`.
-    """
+    estimate: Estimate
+    errors: Score
+    before_px: float  # d_avg with the clocks as recorded
+    after_px: float  # d_avg with the estimated offset
+    player: dict[str, Any]
+
+
+def make_animation(folder: Path) -> Animation:
+    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead."""
     recorded = folder / "cam1.h5", folder / "cam2.h5"
     answer = chain_of(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
     estimate = answer.estimate
@@ -142,11 +151,10 @@ def make_animation(folder: Path) -> dict[str, Any]:
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     errors = score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"]))
     before_px, after_px = d_avg_px(answer, np.array([0.0, estimate.t_d_s])).tolist()
-    shown = {"estimate": estimate, "errors": errors, "player": player}
-    return {**shown, "before_px": before_px, "after_px": after_px}
+    return Animation(estimate, errors, before_px, after_px, player)
 
 
-def report_page(content: dict[str, Any], animation: dict[str, Any]) -> str:
+def report_page(content: dict[str, Any], animation: Animation) -> str:
     """Render the page of `read_results` and an animation; the same input gives the same bytes."""
     environment = html_report.environment(PackageLoader("experiments.report", "page"))
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
@@ -159,7 +167,7 @@ def report_page(content: dict[str, Any], animation: dict[str, Any]) -> str:
         content,
         style=style.read_text(encoding="utf-8").strip(),
         animation=animation,
-        player=animation["player"],
+        player=animation.player,
         angle_deg=FLIGHT.angle_deg,
         true_ms=1e3 * T_D_S,
         method=METHOD,

@@ -1,6 +1,6 @@
 """Statistics of a simulated recording as the method sees it, beside the authors' public sample."""
 
-from collections.abc import Mapping
+from dataclasses import astuple, dataclass
 from typing import Annotated
 
 import numpy as np
@@ -32,16 +32,31 @@ SHOWN = (
     ("width in the event image [px]", "20-45", "{narrow_px:.0f}-{wide_px:.0f}"),
     ("events per camera", "", "{n_events:.0f}"),
 )
-"""For each quantity: name, value in the authors' sample, and format of `pair_figures`."""
+"""For each quantity: name, value in the authors' sample, and format of `SceneFigures`."""
 
 
-def scene_figures(recording: Recording) -> dict[str, float]:
+@dataclass(frozen=True)
+class SceneFigures:
+    """Statistics of a recording at the true offset and with the true fundamental matrix F."""
+
+    speed_px_s: float  # median over both cameras
+    n_valid: float  # sample times valid in both views
+    n_samples: float
+    mean_distance_px: float  # of a point from its epipolar line
+    median_distance_px: float
+    slope_px: float  # rise of d_avg 10 ms off the true offset
+    narrow_px: float  # 5th percentile of the width over the valid sample times
+    wide_px: float  # 95th percentile
+    n_events: float  # mean per camera
+
+
+def scene_figures(recording: Recording) -> SceneFigures:
     """Return the statistics of a recording."""
     rig = rig_of(recording, with_extrinsics=True)
     return pair_figures(*observations(recording), rig, recording.truth.t_d_s)
 
 
-def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> dict[str, float]:
+def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
     """Return the statistics of two cameras' recordings, by the true rig and the true offset."""
     config = Config()
     views = Chain((cam1, cam2), rig, config).views()
@@ -56,17 +71,17 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
     ):
         velocities.append(motion.velocities_at(times_s + shift_s))
         widths += _widths_px(camera, times_s + shift_s, config.half_window_s)
-    return {
-        "speed_px_s": float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
-        "n_valid": float(np.count_nonzero(pairs.valid[1])),
-        "n_samples": float(config.n_samples),
-        "mean_distance_px": float(mean),  # of points from their epipolar lines, with the true F
-        "median_distance_px": float(np.median(distances[1])),
-        "slope_px": float((before + after) / 2 - mean),
-        "narrow_px": float(np.percentile(widths, 5)),
-        "wide_px": float(np.percentile(widths, 95)),
-        "n_events": float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
-    }
+    return SceneFigures(
+        speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
+        n_valid=float(np.count_nonzero(pairs.valid[1])),
+        n_samples=config.n_samples,
+        mean_distance_px=float(mean),
+        median_distance_px=float(np.median(distances[1])),
+        slope_px=float((before + after) / 2 - mean),
+        narrow_px=float(np.percentile(widths, 5)),
+        wide_px=float(np.percentile(widths, 95)),
+        n_events=float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
+    )
 
 
 def scene_command(
@@ -80,16 +95,15 @@ def scene_command(
     rows = []
     for flight in range(seeds):
         typer.echo(f"flight {flight + 1} of {seeds}", err=True)
-        rows.append(scene_figures(simulate(config, first_seed + flight)))
-    means = np.mean([list(row.values()) for row in rows], axis=0).tolist()
-    typer.echo(scene_table(dict(zip(rows[0], means, strict=True))))
+        rows.append(astuple(scene_figures(simulate(config, first_seed + flight))))
+    typer.echo(scene_table(SceneFigures(*np.mean(rows, axis=0))))
 
 
-def scene_table(figures: Mapping[str, float]) -> str:
+def scene_table(figures: SceneFigures) -> str:
     """Format the statistics beside those of the authors' sample, as a Markdown table."""
     from experiments.lab.summary import markdown_table
 
-    rows = [(name, theirs, ours.format_map(figures)) for name, theirs, ours in SHOWN]
+    rows = [(name, theirs, ours.format_map(vars(figures))) for name, theirs, ours in SHOWN]
     return markdown_table(("quantity", "authors' sample", "ours"), rows)
 
 

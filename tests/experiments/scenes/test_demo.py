@@ -9,7 +9,7 @@ import pytest
 from experiments.lab.provenance import plain
 from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
-from experiments.scenes.scene import SHOWN, scene_figures
+from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
 from sim.errors import SimError
 from sim.recorded import Truth
 from sim.recording import SimConfig, simulate
@@ -71,10 +71,10 @@ def test_figures_are_those_of_the_truth():
     # drops windows, those of slow motion.
     centres = recording.truth.centres_px
     speeds = np.linalg.norm(np.gradient(centres, recording.truth.times_s, axis=1), axis=-1)
-    assert figures["speed_px_s"] == pytest.approx(np.nanmedian(speeds), rel=0.25)
-    assert 0 < figures["median_distance_px"] < figures["mean_distance_px"] < 2.0
-    assert figures["slope_px"] > 0.0
-    assert figures["n_events"] == np.mean([len(camera.events) for camera in recording.cameras])
+    assert figures.speed_px_s == pytest.approx(np.nanmedian(speeds), rel=0.25)
+    assert 0 < figures.median_distance_px < figures.mean_distance_px < 2.0
+    assert figures.slope_px > 0.0
+    assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
     # The figures do not depend on the time offset.
     assert scene_figures(simulate(replace(FLOWN, t_d_s=0.25), 0)) == figures
 
@@ -84,11 +84,7 @@ def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, ca
 
     def take(config, seed):
         flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
-        return {
-            "speed_px_s": 197.6, "n_valid": 348, "n_samples": 400, "mean_distance_px": 0.412,
-            "median_distance_px": 0.2, "slope_px": 1.3, "narrow_px": 19.6, "wide_px": 45.4,
-            "n_events": 1e6,
-        }  # fmt: skip
+        return SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6)
 
     monkeypatch.setattr(scene, "simulate", take)
     monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
