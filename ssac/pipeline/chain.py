@@ -50,6 +50,7 @@ class _Pair:
     seen: tuple[Clean, Clean]  # the same, without the rate of camera 2's clock that a search found
     rig: Rig  # as the method may see it
     config: Config  # with nothing left open
+    tries_all: bool  # offsets that leave enough common time; False: those of `config`
     start: Start | None = None
 
 
@@ -134,9 +135,8 @@ class Chain:
 
     def views(self, i: int = 0, j: int = 1) -> TwoViews:
         """Return both views of two whole recordings, no object chosen, with their rig as given."""
-        config = self.config.resolved(self._has_track(i, j))
-        rig = self.rig.pair(i, j)
-        return replace(self._views((self.clean(i), self.clean(j)), rig.unposed, config), rig=rig)
+        rig, cleans = self.rig.pair(i, j), (self.clean(i), self.clean(j))
+        return replace(self._views(cleans, rig.unposed, self._resolved(i, j)), rig=rig)
 
     def lacks(self, method: Method, i: int = 0, j: int = 1) -> str:
         """Say what two cameras lack for a method; empty when it can run."""
@@ -163,22 +163,19 @@ class Chain:
         """
         if not 0 <= i < j < len(self):
             raise SsacError(f"cameras {i} and {j}: there are {len(self)}, numbered from 0 on")
-        has_track = self._has_track(i, j)
-        chosen = (
-            method if isinstance(method, Method) else choose_method(method, has_track=has_track)
-        )
-        lacks = self.lacks(chosen, i, j)
+        if not isinstance(method, Method):
+            method = choose_method(method, has_track=self._has_track(i, j))
+        lacks = self.lacks(method, i, j)
         if lacks:
             raise SsacError(lacks)
-        config = self.config.resolved(has_track)
-        key = "answer", chosen, i, j, self.config
-        load(chosen)
+        load(method)
         with one_thread():
-            return self._once(key, lambda: self._answered(chosen, (i, j), config))
+            key = "answer", method, i, j, self.config
+            return self._once(key, partial(self._answered, method, (i, j)))
 
-    def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
+    def _answered(self, method: Method, places: tuple[int, int]) -> Answer:
         """Answer as asked; where the status is not OK, try the other explanations of `retries`."""
-        answer = self._asked(method, places, config)
+        answer = self._asked(method, places)
         if answer.estimate.status == Status.OK or method.input is not Input.TRACKS:
             return answer
         if retries.is_faint(self.config, answer.cleans, answer.estimate) and method.runs:
@@ -188,24 +185,22 @@ class Chain:
         seen = [self.clean(k) for k in places]  # before any object was chosen
         for ways in retries.WAYS:
             for way in ways(self.config, seen, answer):
-                chain = self.under(way)
-                other = chain._asked(method, places, way.resolved(self._has_track(*places)))
+                other = self.under(way)._asked(method, places)
                 if other.estimate.status == Status.OK:
                     return other
                 if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
                     answer = other
         if retries.needs_fewer_swings(self.config, answer.estimate):
-            way = replace(self.config, search="all")
-            resolved = way.resolved(self._has_track(*places))
-            other = self.under(way)._answered(method, places, resolved)
+            other = self.under(replace(self.config, search="all"))._answered(method, places)
             if other.estimate.status == Status.OK:
                 return other
         if retries.may_give_start(method, answer.estimate):
-            start = self._answered(choose_method(method.starts_from), places, config)
+            start = self._answered(choose_method(method.starts_from), places)
             if start.estimate.status == Status.OK:
                 return retries.by_start(start, method, self.config.rules.retry)
         estimate = answer.estimate
         if estimate.status in SETTLED_BY["jump"]:
+            config = self._resolved(*places)
             jump = large_jump(self._views(answer.cleans, answer.rig.unposed, config))
             estimate = estimate if jump is None else jumped(estimate, jump)
         return replace(answer, estimate=retries.by_several(answer.cleans, estimate))
@@ -224,8 +219,8 @@ class Chain:
             return answer
         if method.without_tracks:
             method = choose_method(None, method.needs_extrinsics, has_track=True)
-        config = replace(self.config, choose_object=False).resolved(has_track=False)
-        found = self._asked(method, places, config, (one, other))
+        chain = self.under(replace(self.config, choose_object=False))
+        found = chain._asked(method, places, (one, other))
         return found if found.estimate.status == Status.OK else answer
 
     def _followed(self, k: int) -> tuple[Clean | None, Refusal | None]:
@@ -237,77 +232,69 @@ class Chain:
             return found, retries.hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
 
     def _asked(
-        self,
-        method: Method,
-        places: tuple[int, int],
-        config: Config,
-        cleans: tuple[Clean, Clean] | None = None,
+        self, method: Method, places: tuple[int, int], cleans: tuple[Clean, Clean] | None = None
     ) -> Answer:
         """Search the offsets asked for; if none were and the default interval fails, search all."""
-        rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
+        of_tracks, rig = method.input is Input.TRACKS, self.rig.pair(*places)
         cleans = cleans or (self._given(method, places[0]), self._given(method, places[1]))
-        rig = rig if method.needs_extrinsics else rig.unposed
-        pair = _Pair(method, places, cleans, cleans, rig, config)
         check_two(self.name(places[0]), self.name(places[1]), *cleans)
+        rig = rig if method.needs_extrinsics else rig.unposed
         tries_all = of_tracks and self._searches_all(*cleans)
-        answer = self._of_one(pair, tries_all)
+        pair = _Pair(method, places, cleans, cleans, rig, self._resolved(*places), tries_all)
+        answer = widest = self._of_one(pair)
         if not of_tracks:
             return answer
-        if answer.estimate.has_offset:
-            return self._hinted(pair, answer, tries_all)
-        widest = answer
+        wide = replace(pair, tries_all=True)
         if not tries_all and retries.lies_elsewhere(self.config, answer.estimate):
-            wider = self._of_one(pair, True)
-            if wider.estimate.has_offset:
-                return self._hinted(pair, wider, True)
-            widest = wider
-            answer = wider if retries.is_truer(wider.estimate, answer.estimate) else answer
-        rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
+            widest = self._of_one(wide)
+            if widest.estimate.has_offset:
+                return self._hinted(wide, widest)
+            answer = widest if retries.is_truer(widest.estimate, answer.estimate) else answer
+        rates = retries.other_rates(self.config, cleans, widest.estimate)
         if rates is not None:
-            rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
+            rated = self._of_one(replace(wide, config=replace(pair.config, rates=rates)))
             rate = 1.0 + 1e-6 * rated.estimate.skew_ppm  # a jump may look faster
             if rated.estimate.has_offset and rates[0] <= rate <= rates[1]:
                 return replace(rated, clock=retries.FAST)
         if not tries_all and retries.narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"
             answer = answer.because(outside)
-        return self._hinted(pair, answer, tries_all)
+        return self._hinted(pair, answer)
 
-    def _hinted(self, pair: _Pair, answer: Answer, tries_all: bool) -> Answer:
+    def _hinted(self, pair: _Pair, answer: Answer) -> Answer:
         """Add the usual mistake in a rig to the answer's reason, where mending it explains all."""
-        if answer.estimate.has_offset and not answer.misfit:
-            return answer
         mistake = retries.usual_mistake(pair.rig, answer.cleans, answer.estimate)
-        if mistake is None:
+        if mistake is None or (answer.estimate.has_offset and not answer.misfit):
             return answer
         hint, rig, cleans = mistake
-        mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
+        mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans))
         fits = mended.estimate.against <= pair.config.rules.verdict.in_doubt
         if mended.estimate.status == Status.OK and fits and not mended.misfit:
             return answer.because(f"all agrees if {hint}")
         return answer
 
-    def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
+    def _of_one(self, pair: _Pair) -> Answer:
         """Answer from the one object that all cameras saw, if the method looks at one object."""
         method, config = pair.method, pair.config
         if method.of_one_object and config.choose_object and method.input is not Input.FRAMES:
-            cleans, refusal = self._one_object(pair.places, None if tries_all else config.offsets_s)
+            interval_s = None if pair.tries_all else config.offsets_s
+            cleans, refusal = self._one_object(pair.places, interval_s)
             pair = replace(pair, cleans=cleans, seen=cleans)
             if refusal is not None:
                 return self._refused(pair, refusal)
         if method.input is not Input.TRACKS:
             return self._answer(pair, self._run(pair))
-        return self._compared(pair, tries_all)
+        return self._compared(pair)
 
-    def _compared(self, pair: _Pair, tries_all: bool) -> Answer:
+    def _compared(self, pair: _Pair) -> Answer:
         """Search the offsets between two views of one object, and refine the best one."""
         cleans, config = pair.cleans, pair.config
         views = self._views(cleans, pair.rig.unposed, config)
-        refusal = unusable(views, cleans, None if tries_all else config.offsets_s)
-        if refusal is None and tries_all and views.alone.are_straight:
+        refusal = unusable(views, cleans, None if pair.tries_all else config.offsets_s)
+        if refusal is None and pair.tries_all and views.alone.are_straight:
             # For straight paths some F fits at any offset: only the speed along them tells it.
             pair = replace(pair, config=replace(config, interval_s=overlapping(cleans)))
-        elif refusal is None and tries_all:
+        elif refusal is None and pair.tries_all:
             start = self._start(pair, views)
             pair, refusal = replace(pair, start=start), start.refusal
             if start.has_guess:
@@ -462,9 +449,9 @@ class Chain:
     def _searches_all(self, one: Clean, other: Clean) -> bool:
         """Whether all offsets are searched: where asked for, and by default where it is needed."""
         config = self.config
-        if config.rates is not None or config.search != "auto":
-            return config.search == "all" or config.rates is not None
-        if config.interval_s is not None:
+        if config.rates is not None or config.search == "all":
+            return True
+        if config.interval_s is not None or config.search == "interval":
             return False
         has_track = one.has_track or other.has_track
         return has_track or not has_common_time((one, other), config.offsets_s)
@@ -472,25 +459,21 @@ class Chain:
     def _start(self, pair: _Pair, views: TwoViews) -> Start:
         """Search all offsets; of tracks also other rates, if none fits where clocks run alike."""
 
-        def found(rates: Interval | None) -> Start:
+        def found_at(rates: Interval | None) -> Start:
             with self.watch.part("search") as say:
                 start = start_of(views, rates, in_fifths(self.watch.log))
                 say(start.words)
             return start
 
-        def any_rate() -> Start:
-            start, rates = found(pair.config.rates), pair.config.rates
-            if (
-                start.refusal is None
-                or rates is not None
-                or not self._has_track(*pair.places)
-                or views.alone.repeats  # a repeated path tells no rate either
-            ):
+        def found() -> Start:
+            start, of_track = found_at(pair.config.rates), self._has_track(*pair.places)
+            is_open = start.refusal is not None and pair.config.rates is None and of_track
+            if not is_open or views.alone.repeats:  # a repeated path tells no rate either
                 return start
-            other = found(pair.config.rules.retry.any_rate)
+            other = found_at(pair.config.rules.retry.any_rate)
             return start if other.refusal is not None else other
 
-        return self._once(("start", _ids(pair.cleans), pair.config), any_rate, pair.cleans)
+        return self._once(("start", _ids(pair.cleans), pair.config), found, pair.cleans)
 
     def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
         key = "views", _ids(cleans), config.windows, config.offsets_s
@@ -506,6 +489,9 @@ class Chain:
 
     def _has_track(self, i: int, j: int) -> bool:
         return self.sources[i].has_track or self.sources[j].has_track
+
+    def _resolved(self, i: int, j: int) -> Config:
+        return self.config.resolved(self._has_track(i, j))
 
 
 def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:

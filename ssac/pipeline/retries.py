@@ -78,14 +78,12 @@ def other_clocks(
             yield WANDERING, replace(config, clock=WANDERING, roughness_ppm=roughness_ppm)
 
 
-def other_rates(
-    asked: Config, config: Config, cleans: tuple[Clean, Clean], found: Estimate
-) -> Interval | None:
+def other_rates(asked: Config, cleans: Sequence[Clean], found: Estimate) -> Interval | None:
     """Return the rates of a fast clock to search with all offsets, if events match at none."""
     is_asked = asked.skew_prior_ppm is not None or asked.rates is not None
     is_asked |= asked.interval_s is not None or any(one.has_track for one in cleans)
     is_open = not is_asked and found.status in SETTLED_BY["rates"]
-    return config.rules.retry.fast_rates if is_open else None
+    return asked.rules.retry.fast_rates if is_open else None
 
 
 def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:
