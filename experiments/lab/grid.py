@@ -19,7 +19,7 @@ from sim.errors import SimError
 from sim.recording import SimConfig
 from ssac.config import Config, checked
 from ssac.errors import SsacError
-from ssac.files.readable import brief
+from ssac.files.damage import brief
 from ssac.pipeline.registry import METHODS, choose_method
 
 if sys.version_info >= (3, 11):

@@ -20,8 +20,8 @@ from ssac.camera import Camera, Rig
 from ssac.clock import Clock
 from ssac.config import Cleaning, Config
 from ssac.errors import SsacError
+from ssac.files.damage import readable
 from ssac.files.hdf5 import load_events_h5
-from ssac.files.readable import readable
 from ssac.files.rigs import load_rig
 from ssac.pipeline.chain import Chain
 from ssac.track.clean import Clean, clean

@@ -245,7 +245,7 @@ def sync_command(
 
 def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
     """Return each camera's file: as given, from a simulated folder, or as topics of bags."""
-    from ssac.files.readable import check_is_file
+    from ssac.files.damage import check_is_file
     from ssac.files.ros_bags import SeveralTopicsError, bag_of, topic_of
 
     if topics is not None:

@@ -1,14 +1,18 @@
-"""Event files that are damaged, out of order, or perhaps in another unit of time.
+"""Files that cannot be read; event files that are damaged, unsorted, or in another unit of time.
 
-A file with signs of damage is refused; if the caller allows damage, the file is read as far as
-possible, with a warning. Events that are out of order by less than 1 ms, as some cameras' drivers
-write them, are no damage: they are sorted if the caller asks for it.
+Each exception of a library becomes an SsacError that names the file. An event file with signs of
+damage is refused; if the caller allows damage, it is read as far as possible, with a warning.
+Events that are out of order by less than 1 ms, as some cameras' drivers write them, are no damage:
+they are sorted if the caller asks for it.
 """
 
+import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -25,6 +29,88 @@ _LONGEST_GAP_US = 3600 * US_PER_S  # longest pause between two events of a recor
 # A moving object gives thousands of events a second, for minutes. A lower rate over more than
 # LONGEST_S, or over 1000 events within _SHORTEST_S, suggest times in another unit.
 _LEAST_HZ, LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
+
+_OURS = (SsacError, KeyboardInterrupt, SystemExit, GeneratorExit)
+
+
+def check_is_file(path: Path) -> None:
+    """Raise SsacError when there is no such file."""
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+
+
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises in the block, even a panic, into one SsacError.
+
+    `kind` says what the file should be, as in "a readable HDF5 file".
+    """
+    try:
+        yield
+    except _OURS:
+        raise
+    except BaseException as error:
+        raise SsacError(f"{path}: not {kind} ({brief(error)}): copy or record it again") from error
+
+
+def brief(error: BaseException, longest: int = 200) -> str:
+    """Return an exception's message on one line, cut to `longest` characters."""
+    if isinstance(error, MemoryError):  # of a library that believes a size it reads
+        return "a size in it is larger than the memory here"
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= longest else f"{words[:longest]}..."
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Discard what compiled code writes to stderr in the block, as a panic prints its own lines."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    try:
+        with suppress(OSError), open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def check_text(path: Path) -> None:
+    """Raise SsacError if a file has a zero byte, which a text reader takes for the file's end."""
+    with readable(path, "a readable file"), path.open("rb") as file:
+        while block := file.read(1 << 22):
+            at = block.find(b"\0")
+            if at >= 0:
+                raise SsacError(
+                    f"{path}: not a text file: byte {file.tell() - len(block) + at} is zero, as "
+                    "where a disk was full or a copy broke off: copy or record it again"
+                )
+
+
+def is_number(word: str) -> bool:
+    """Return whether `float` can parse a word."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def side_px(value: Any, said: str, path: Path) -> int:
+    """Return a sensor's width or height [px] that a file states; SsacError, with `said`, if bad."""
+    most = (1 << 16) - 1  # largest value of an event's field x or y
+    try:
+        side = int(value)
+    except (TypeError, ValueError, OverflowError):
+        side = 0
+    if not 1 <= side <= most:
+        raise SsacError(
+            f"{path}: {said} 1 to {most} px, got {str(value)[:40]!r}: correct it, or leave it out"
+        )
+    return side
 
 
 @dataclass(frozen=True)
@@ -64,12 +150,14 @@ def checked_file(
     size_px: tuple[int | None, int | None],
     path: Path,
     reading: Reading,
+    unit: str = "",
     is_text: bool = False,
 ) -> EventFile:
     """Return a file's events, checked, and sorted or freed of damage as `reading` allows.
 
     SsacError for signs of damage that are not allowed, and if there are no events. Repeated events
-    are no sign of damage in text, whose times may be rounded.
+    are no sign of damage in text, whose times may be rounded. Where the file's times must be in a
+    `unit`, times that seem to be in another one give a warning.
     """
     disorder = _disorder(events["t"], events["x"], events["y"])
     if any(disorder):
@@ -87,6 +175,8 @@ def checked_file(
             )
             events = events[is_inside]
     check_events(events, *size_px, name=str(path))
+    if unit:
+        _note_unit(events, path, unit)
     return EventFile(events, *size_px)
 
 
@@ -152,9 +242,9 @@ def _in_order(
     return events
 
 
-def noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
-    """Return the file, and warn if its times seem to be in another unit."""
-    n, span_s = len(file.events), float(np.ptp(file.events["t"])) / US_PER_S
+def _note_unit(events: Events, path: Path, unit: str) -> None:
+    """Warn if times seem to be in another unit."""
+    n, span_s = len(events), float(np.ptp(events["t"])) / US_PER_S
     said = ""
     if span_s > LONGEST_S and n < _LEAST_HZ * span_s:
         finer = {"seconds": "milliseconds", "microseconds": "nanoseconds"}[unit]
@@ -165,6 +255,5 @@ def noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
         warnings.warn(
             f"{path}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
             f" {said}",
-            stacklevel=4,
+            stacklevel=5,
         )
-    return file

@@ -16,7 +16,7 @@ import yaml
 
 from ssac.arrays import Array
 from ssac.errors import SsacError
-from ssac.files.readable import is_number, readable
+from ssac.files.damage import is_number, readable
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import write_whole
 from ssac.points import PointTrack

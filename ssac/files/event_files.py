@@ -20,8 +20,7 @@ from ssac.arrays import Events
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays, events_of_array
-from ssac.files.damage import STRICT, Reading, checked_file, noting_unit
-from ssac.files.readable import check_is_file, readable, side_px
+from ssac.files.damage import STRICT, Reading, check_is_file, checked_file, readable, side_px
 from ssac.files.ros_bags import BAG_SUFFIXES, bag_of, load_events_bag
 from ssac.files.whole_file import check_writable, whole_file
 
@@ -108,8 +107,7 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
         side_px(arrays[name], f"{name} must be a number of", path) if name in arrays else None
         for name in ("width", "height")
     )
-    file = checked_file(_events(arrays, path), (width, height), path, reading)
-    return noting_unit(file, path, "microseconds")
+    return checked_file(_events(arrays, path), (width, height), path, reading, "microseconds")
 
 
 def save_events_numpy(

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
-from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
-from ssac.files.readable import readable, side_px
+from ssac.files.damage import STRICT, Reading, checked_file, readable, refuse_damaged, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
 HDF5_SUFFIXES = (".h5", ".hdf5")

@@ -22,8 +22,15 @@ from numpy.typing import NDArray
 from ssac.arrays import Events, Mask
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile
-from ssac.files.damage import Reading, checked_file, count_repeated, refuse_damaged
-from ssac.files.readable import brief, readable, silenced
+from ssac.files.damage import (
+    Reading,
+    brief,
+    checked_file,
+    count_repeated,
+    readable,
+    refuse_damaged,
+    silenced,
+)
 
 Words = NDArray[Any]
 

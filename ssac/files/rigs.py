@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig, check_camera, check_transform
 from ssac.errors import SsacError
-from ssac.files.readable import check_is_file, readable, silenced
+from ssac.files.damage import check_is_file, readable, silenced
 from ssac.files.whole_file import write_whole
 
 RIG_SUFFIXES = (".yaml", ".yml")

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
-from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
-from ssac.files.readable import readable, side_px
+from ssac.files.damage import STRICT, Reading, checked_file, readable, refuse_damaged, side_px
 from ssac.points import PointTrack
 
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
@@ -80,8 +79,7 @@ def bag_of(path: Path) -> tuple[Path, str] | None:
 
 def file_of(path: Path) -> Path:
     """Return the bag that a path leads into, or the path itself if there is none."""
-    found = bag_of(path)
-    return path if found is None else found[0]
+    return (bag_of(path) or (path, ""))[0]
 
 
 def topic_of(path: Path) -> Topic:

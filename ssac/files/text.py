@@ -12,8 +12,16 @@ import numpy as np
 from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
-from ssac.files.damage import LONGEST_S, STRICT, Reading, checked_file, noting_unit
-from ssac.files.readable import brief, check_text, readable, side_px
+from ssac.files.damage import (
+    LONGEST_S,
+    STRICT,
+    Reading,
+    brief,
+    check_text,
+    checked_file,
+    readable,
+    side_px,
+)
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
@@ -33,8 +41,7 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
             f"{' '.join(first_line)[:60]!r}: convert the file"
         )
     events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
-    file = checked_file(events, (width, height), path, reading, is_text=True)
-    return noting_unit(file, path, "seconds")
+    return checked_file(events, (width, height), path, reading, "seconds", is_text=True)
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
@@ -53,8 +60,7 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
         )
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
     size_px = sizes.get("x"), sizes.get("y")
-    file = checked_file(events, size_px, path, reading, is_text=True)
-    return noting_unit(file, path, "microseconds")
+    return checked_file(events, size_px, path, reading, "microseconds", is_text=True)
 
 
 def save_events_text(

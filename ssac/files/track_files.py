@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssac.errors import SsacError
-from ssac.files.readable import check_is_file, check_text, readable
+from ssac.files.damage import check_is_file, check_text, readable
 from ssac.files.ros_bags import bag_of, load_track_bag, topic_of
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack

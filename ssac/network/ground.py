@@ -8,7 +8,7 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.errors import SsacError
-from ssac.files.readable import check_is_file, readable
+from ssac.files.damage import check_is_file, readable
 from ssac.network.align import Similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of

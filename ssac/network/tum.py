@@ -13,7 +13,7 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.errors import SsacError
-from ssac.files.readable import check_is_file, is_number
+from ssac.files.damage import check_is_file, is_number
 from ssac.files.whole_file import whole_file
 
 PATH_COLUMNS = ("t_s", "x_m", "y_m", "z_m")

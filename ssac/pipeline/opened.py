@@ -20,8 +20,7 @@ from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
-from ssac.files.damage import STRICT, Reading
-from ssac.files.readable import check_is_file
+from ssac.files.damage import STRICT, Reading, check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track

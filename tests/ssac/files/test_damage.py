@@ -10,10 +10,9 @@ from faery.file_encoder import events_to_file
 
 from ssac.errors import SsacError
 from ssac.events import events_from_arrays
-from ssac.files.damage import Reading
+from ssac.files.damage import Reading, readable
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.readable import readable
 from ssac.files.ros_bags import topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
