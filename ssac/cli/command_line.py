@@ -42,9 +42,9 @@ COMMANDS = tuple(
     Entry(name, USE, summary, f"ssac.cli.{module}", f"{name}_command")
     for name, module, summary in (
         ("sync", "sync", "Find time offset and pose of two or more cameras."),
-        ("track", "convert", "Extract the object's image track from a camera's events."),
-        ("import", "convert", "Convert a public data set to track files and a rig."),
-        ("compare", "compare", "Compare an estimated path in space with a reference."),
+        ("track", "paths", "Extract the object's image track from a camera's events."),
+        ("import", "paths", "Convert a public data set to track files and a rig."),
+        ("compare", "paths", "Compare an estimated path in space with a reference."),
     )
 )
 SYNC, TRACK, IMPORT, COMPARE = COMMANDS

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import numba
 import pytest
 
-from ssac.cli import convert, exits, sync
+from ssac.cli import exits, paths, sync
 from ssac.cli.command_line import COMMANDS, Entry, command_line, run
 from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, fail, guarded
 from ssac.cli.options import config_of
@@ -181,7 +181,7 @@ GIVEN = {
 }
 CASES = [
     pytest.param(command, name, option, id=f"{command.__name__}-{name}")
-    for command in (sync, convert)
+    for command in (sync, paths)
     for name, option in command.OPTIONS.items()
     if option.field
 ]
