@@ -153,8 +153,9 @@ def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
     """Return the status as a word, its kind for display, its meaning, reason, remedy and notes."""
     estimate, notes = answers[0, 1].estimate, answers[0, 1].notes
     status, reason, has_some = estimate.status, estimate.reason, estimate.has_offset
-    ours = {str(one): one for one in Status}.get(status)  # another's method may have its own word
-    meaning, remedy = (ours.meaning, ours.remedy) if ours else ("", "")
+    meaning, remedy = "", ""
+    if isinstance(status, Status):  # another package's method may have its own word
+        meaning, remedy = status.meaning, status.remedy
     if network is not None:
         status, reason, has_some = network.status, network.reason, bool(network.built)
         meaning, remedy, notes = Status.OK.meaning, "", ()
@@ -276,25 +277,17 @@ def _offset_words(estimate: Estimate) -> str:
     return f"{_time(estimate.t_d_s)}, 1 sigma {1e3 * estimate.t_d_std_s:.3f} ms"
 
 
-def _intrinsics(answer: Answer) -> list[dict[str, Any]]:
-    """Compare the fitted intrinsics with the rig's, in standard deviations of the rig's."""
-    rows = list[dict[str, Any]]()
-    for k, K in enumerate(answer.estimate.Ks or ()):
-        stds_px = zip(_NUMBERS.items(), answer.cameras[k].intrinsics_std_px, strict=True)
-        for (name, place), std_px in stds_px:
-            given_px, found_px = float(answer.cameras[k].K[place]), float(K[place])
-            if std_px > 0.0:
-                rows.append(
-                    {
-                        "camera": k + 1,
-                        "name": name,
-                        "given_px": given_px,
-                        "std_px": std_px,
-                        "found_px": found_px,
-                        "deviations": (found_px - given_px) / std_px,
-                    }
-                )
-    return rows
+def _intrinsics(answer: Answer) -> list[tuple[int, str, float, float, float]]:
+    """List cameras, names and values of fitted intrinsics: the rig's, its deviation, the fitted."""
+    Ks = () if answer.estimate.Ks is None else enumerate(answer.estimate.Ks)
+    return [
+        (k + 1, name, float(answer.cameras[k].K[place]), std_px, float(K[place]))
+        for k, K in Ks
+        for (name, place), std_px in zip(
+            _NUMBERS.items(), answer.cameras[k].intrinsics_std_px, strict=True
+        )
+        if std_px > 0.0
+    ]
 
 
 def _graph(answers: Answers, network: NetworkAnswer) -> dict[str, Any]:
