@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssac.arrays import Array, Mask
+from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.events import is_whole, wrap_message, wrapped
 
@@ -37,12 +37,12 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
     finite = np.isfinite(times_s) & np.isfinite(points).all(axis=1) & np.isfinite(sigmas)
     if not finite.all():
         raise SsacError(
-            f"{name}: point {_first(~finite)} has a value that is no finite number: leave out the "
-            "rows in which the object was not seen"
+            f"{name}: point {np.argmin(finite)} has a value that is no finite number: leave out"
+            " the rows in which the object was not seen"
         )
     backwards = np.diff(times_s) <= 0.0
     if backwards.any():
-        k = _first(backwards) + 1
+        k = int(np.argmax(backwards)) + 1
         if wrapped(times_s[k - 1], times_s[k]):
             raise SsacError(f"{name}: {wrap_message(f'point {k}')}")
         raise SsacError(
@@ -60,15 +60,11 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
     if not inside.all():
         x, y = points[~inside][0]
         raise SsacError(
-            f"{name}: the image is {width} x {height} px, but point {_first(~inside)} is at "
+            f"{name}: the image is {width} x {height} px, but point {np.argmin(inside)} is at "
             f"({x:g}, {y:g}): give the rig of this camera, and leave out where nothing was seen"
         )
     if not (sigmas > 0.0).all():
         raise SsacError(
             f"{name}: sigma_px must be positive, got {sigmas.min():g} at point "
-            f"{_first(~(sigmas > 0.0))}: correct it, or leave the column out"
+            f"{np.argmin(sigmas > 0.0)}: correct it, or leave the column out"
         )
-
-
-def _first(is_bad: Mask) -> int:
-    return int(np.argmax(is_bad))

@@ -87,13 +87,10 @@ def sightings(
 
 def is_near(times_s: Array, seen_s: Array, reach_s: float) -> Mask:
     """Whether any of a camera's sightings, at times (m,), is within reach of times (n,)."""
-    if not len(seen_s):
-        return np.zeros(len(times_s), dtype=bool)
-    ordered = np.sort(seen_s)
+    ordered = np.concatenate([[-np.inf], np.sort(seen_s), [np.inf]])
     after = np.searchsorted(ordered, times_s)
-    low = ordered[np.clip(after - 1, 0, len(ordered) - 1)]
-    high = ordered[np.clip(after, 0, len(ordered) - 1)]
-    return np.asarray(np.minimum(np.abs(times_s - low), np.abs(high - times_s)) <= reach_s)
+    off_s = np.minimum(times_s - ordered[after - 1], ordered[after] - times_s)
+    return np.asarray(off_s <= reach_s)
 
 
 DELAY, RATE, READOUT = 0, 1, 2
