@@ -74,10 +74,7 @@ def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) 
     members, rules = sorted(placed.states), group.rules
     based = rebased(placed.states, members[0])
     apart = float(np.linalg.norm(based[members[1]].t))
-    states = [
-        replace(based[k], t=based[k].t * distance / apart if apart > 0.0 else based[k].t)
-        for k in members
-    ]
+    states = [replace(based[k], t=based[k].t * distance / apart) for k in members]
     cameras = [group.cameras[k] for k in members]
     step_s = _knot_step_s(cameras, rules)
     times, masks = _supported(states, cameras, step_s)

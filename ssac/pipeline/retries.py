@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssac.camera import Rig, same_camera, with_deviations
+from ssac.camera import Camera, Rig, same_camera, with_deviations
 from ssac.config import N_MIN, Config, Interval
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Method
@@ -224,16 +224,13 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
         return
     for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
         careless = times * rules.careless_focal, times * rules.careless_centre_px
-        yield _known_to(rig, *careless), most
+        yield Rig(_known_to(rig.cam1, *careless), _known_to(rig.cam2, *careless), rig.T_2_1), most
 
 
-def _known_to(rig: Rig, focal: float, centre_px: float) -> Rig:
-    cameras = []
-    for camera in (rig.cam1, rig.cam2):
-        least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
-        stds_px = np.maximum(camera.intrinsics_std_px, least_px)
-        cameras.append(replace(camera, intrinsics_std_px=tuple(stds_px.tolist())))
-    return Rig(cameras[0], cameras[1], rig.T_2_1)
+def _known_to(camera: Camera, focal: float, centre_px: float) -> Camera:
+    least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
+    stds_px = np.maximum(camera.intrinsics_std_px, least_px)
+    return replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
 
 
 def usual_mistake(

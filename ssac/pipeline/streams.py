@@ -275,11 +275,9 @@ def scene_of_two(answer: Answer) -> dict[str, Any] | None:
     points: Array = 0.5 * (depths_1[:, None] * rays[0] + (depths_2[:, None] * rays[1] - t) @ R)
     some = np.flatnonzero(ahead)[:: 1 + np.count_nonzero(ahead) // _CROSSES]
     information: Array = np.zeros((len(some), 3, 3))
-    for K, turn, shift in (
-        (answer.cameras[0].K, np.eye(3), np.zeros(3)),
-        (answer.cameras[1].K, R, t),
-    ):
-        by = image_by_place(turn, np.diag(K)[:2], points[some] @ turn.T + shift)
+    poses = (np.eye(3), np.zeros(3)), (R, t)
+    for camera, (turn, shift) in zip(answer.cameras, poses, strict=True):
+        by = image_by_place(turn, np.diag(camera.K)[:2], points[some] @ turn.T + shift)
         information += np.swapaxes(by, 1, 2) @ by
     sigma_px = robust_deviation(sampson_distance(F, p1, p2))
     axes_2: Array = np.zeros((3, 3))
