@@ -159,9 +159,7 @@ def checked_file(
     are no sign of damage in text, whose times may be rounded. Where the file's times must be in a
     `unit`, times that seem to be in another one give a warning.
     """
-    disorder = _disorder(events["t"], events["x"], events["y"])
-    if any(disorder):
-        events = _in_order(events, disorder, path, reading, is_text)
+    events = _in_order(events, path, reading, is_text)
     if reading.allow_damaged:
         is_inside = events["p"] <= 1
         for field, size in zip("xy", size_px, strict=True):
@@ -199,16 +197,10 @@ def _disorder(t: IntArray, x: Pixels, y: Pixels) -> tuple[int, int, int, int]:
     return n_back, most_back_us, n_leaps, n_repeated
 
 
-def _in_order(
-    events: Events,
-    disorder: tuple[int, int, int, int],
-    path: Path,
-    reading: Reading,
-    is_text: bool,
-) -> Events:
+def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Events:
     """Sort or cut events whose times run back or leap; look for repeated events."""
-    n_back, most_back_us, n_leaps, n_repeated = disorder
     t = events["t"]
+    n_back, most_back_us, n_leaps, n_repeated = _disorder(t, events["x"], events["y"])
     if n_back and not n_leaps and most_back_us < 1000:  # the disorder that drivers cause
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
         if not reading.sort:
