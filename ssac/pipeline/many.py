@@ -254,8 +254,12 @@ def write_two(
         _save_rig(rig, answer.cameras, [None, step], log)
 
 
-def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
-    """Write the rig with all poses found, each from the camera placed before it in its group."""
+def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:
+    """Write as `write_two` does; each pose is from the camera placed before it in its group."""
+    if trajectory is not None:
+        _write_paths(trajectory, result.network, result.scale_is_known, log)
+    if rig is None:
+        return
     found, steps = result.network.cameras, list[Step | None]()
     groups = [camera.group for camera in found]  # 0 of one that is placed nowhere
     for k, other in enumerate(found):
@@ -269,27 +273,23 @@ def _write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
             step = Step(k - before[-1], T, shown_s[1] - shown_s[0], in_metres)
         steps.append(step)
     if not any(steps):
-        log(f"not written: {file}, since no two cameras are placed")
+        log(f"not written: {rig}, since no two cameras are placed")
         return
-    apart = [
+    apart = ", ".join(
         f"camera {k} ({f'group {camera.group}' if camera.group else camera.status})"
         for k, camera in enumerate(found, start=1)
         if camera.group != 1
-    ]
+    )
     rigs = [result.pairs[0, k].rig for k in range(1, len(found))]
-    _save_rig(file, (rigs[0].cam1, *(one.cam2 for one in rigs)), steps, log, apart)
+    _save_rig(rig, (rigs[0].cam1, *(one.cam2 for one in rigs)), steps, log, apart)
 
 
 def _save_rig(
-    file: Path,
-    cameras: Sequence[Camera],
-    steps: Sequence[Step | None],
-    log: Log,
-    apart: Sequence[str] = (),
+    file: Path, cameras: Sequence[Camera], steps: Sequence[Step | None], log: Log, apart: str = ""
 ) -> None:
     about = f"lengths in {_unit(any(step is not None and step.in_metres for step in steps))}"
     if apart:
-        about += f"; no pose with the others: {', '.join(apart)}"
+        about += f"; no pose with the others: {apart}"
     save_rig(file, cameras, steps, f"{about}; t_cn = t_cnm1 + timeshift_cn_cnm1")
     log(f"wrote {file}, {about}")
 
@@ -302,14 +302,6 @@ def _transform(of: CameraAnswer | Estimate) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = of.R, of.t
     return T
-
-
-def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:
-    """Write the files that were asked for, and log them."""
-    if trajectory is not None:
-        _write_paths(trajectory, result.network, result.scale_is_known, log)
-    if rig is not None:
-        _write_rig_of_many(rig, result, log)
 
 
 def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
