@@ -64,8 +64,7 @@ def report_page(
             pairs=[
                 {
                     "numbers": (a + 1, b + 1),
-                    "status": str(answer.estimate.status),
-                    "reason": answer.estimate.reason,
+                    "estimate": answer.estimate,
                     "offset": _offset_words(answer.estimate),
                     "charts": charts_of(answer, most),
                     "intrinsics": _intrinsics(answer),

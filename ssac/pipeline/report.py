@@ -37,14 +37,14 @@ def report_rows(answer: Answer) -> Rows:
         title = "no pose" if estimate.has_offset else "no estimate"
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
-        rows += _offset_rows(estimate) + _skew_rows(estimate, answer) + _readout_rows(estimate)
+        rows += _offset_rows(estimate) + _skew_rows(answer) + _readout_rows(estimate)
     rows += _objects_row(answer)
     if answer.note:
         rows.append(("note", answer.note))
     if answer.method.needs_extrinsics:
         rows.append(("pose", f"as given in {answer.rig_name}"))
     elif estimate.R is not None and estimate.t is not None:
-        rows += _pose_rows(estimate, estimate.R, estimate.t, answer.distance_m)
+        rows += _pose_rows(answer, estimate.R, estimate.t)
     if answer.method.input is Input.TRACKS:
         counts = counts_of(answer)
         times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
@@ -117,13 +117,12 @@ def report_json(answer: Answer) -> dict[str, Any]:
 
 def _objects_row(answer: Answer) -> list[tuple[str, str]]:
     """Row on the number of objects seen; none where all cameras saw one at a time."""
-    objects = [seen.used for seen in answer.cleans]
     if not (answer.looks_at_one_object and answer.sees_several):
         return []
     parts = [
-        f"camera {number} sees {used.seen}"
-        + (f", {100.0 * used.share:.0f} % of its events used" if used.share > 0.0 else "")
-        for number, used in enumerate(objects, start=1)
+        f"camera {number} sees {seen.used.seen}"
+        + (f", {100.0 * seen.used.share:.0f} % of its events used" if seen.used.share else "")
+        for number, seen in enumerate(answer.cleans, start=1)
     ]
     return [("objects", "; ".join(parts))]
 
@@ -160,9 +159,10 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
     ]
 
 
-def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
+def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
     """Rows on the skew, where it was estimated."""
-    runs, std_ppm = how_it_runs(estimate), estimate.skew_std_ppm
+    estimate, std_ppm = answer.estimate, answer.estimate.skew_std_ppm
+    runs = how_it_runs(estimate)
     if not runs:
         return []
     sigma = f", 1 sigma {std_ppm:.1f} ppm" if np.isfinite(std_ppm) else ""
@@ -199,12 +199,10 @@ def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
     return [("readout", "; ".join(found))] if found else []
 
 
-def _pose_rows(
-    estimate: Estimate, R: Array, t: Array, distance_m: float | None
-) -> list[tuple[str, str]]:
+def _pose_rows(answer: Answer, R: Array, t: Array) -> list[tuple[str, str]]:
     """Rows on the pose x2 = R x1 + t, with its deviations where they are known."""
-    lies, unit, length = of_length(distance_m)
-    t = (distance_m or 1.0) * t
+    estimate, (lies, unit, length) = answer.estimate, of_length(answer.distance_m)
+    t = (answer.distance_m or 1.0) * t
     stds_deg = estimate.r_std_deg, estimate.t_std_deg
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
