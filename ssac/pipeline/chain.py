@@ -370,13 +370,8 @@ class Chain:
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         """Make an answer of the refusal of a stage before the method."""
-        estimate = Estimate(
-            pair.method.name,
-            refusal.status,
-            refusal.reason,
-            refusal.t_d_s,
-            alternatives_s=np.array(refusal.alternatives_s),
-        )
+        said = pair.method.name, refusal.status, refusal.reason, refusal.t_d_s
+        estimate = Estimate(*said, alternatives_s=np.array(refusal.alternatives_s))
         if pair.start is not None:
             found = pair.start.found
             estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
