@@ -13,6 +13,7 @@ import re
 import struct
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
@@ -48,7 +49,9 @@ def load_makers_file(path: Path, reading: Reading, named: Path | None = None) ->
     """Read a camera maker's file; messages call it `named`, or `path` if `named` is None."""
     name = named or path
     refuse_damaged(name, _signs(path), reading)
-    file = checked_file(*_decoded(path, reading, name), name, reading)
+    with TemporaryDirectory() as folder:
+        decoded = _decoded(_with_wraps(path, Path(folder)), reading, name)
+    file = checked_file(*decoded, name, reading)
     if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
         warnings.warn(
             f"{path} starts at time 0: whoever wrote it may have subtracted its first timestamp, "
@@ -85,6 +88,28 @@ def _decoded(
     # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
     events = np.concatenate(blocks).view(EVENT_DTYPE)
     return events, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
+
+
+def _with_wraps(path: Path, folder: Path) -> Path:
+    """Return a file, or a copy of an EVT3 file with the words by which faery knows a wrap-around.
+
+    It takes the clock, of 16.8 s, to start again only where a word of 4095 is followed by one of 0,
+    and a sensor that writes the time only when it changes may see nothing just then.
+    """
+    if path.suffix.lower() != ".raw" or _evt_version(path) != "evt3":
+        return path
+    words, n_rest = _words(path, np.dtype("<u2"), 0)
+    at = np.flatnonzero(words >> 12 == 0x8)
+    high = (words[at] & 0xFFF).astype(np.int64)
+    wraps = high[1:] - high[:-1] < -0x800
+    untold = at[1:][wraps & ((high[:-1] != 0xFFF) | (high[1:] != 0))]
+    if len(untold) == 0:
+        return path
+    mended = folder / path.name
+    header = path.read_bytes()[: path.stat().st_size - words.nbytes - n_rest]
+    told = np.insert(words, np.repeat(untold, 2), np.tile([0x8FFF, 0x8000], len(untold)))
+    mended.write_bytes(header + told.tobytes())
+    return mended
 
 
 def _signs(path: Path) -> list[str]:

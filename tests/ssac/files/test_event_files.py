@@ -76,10 +76,12 @@ def evt2_of_a_camera(path, events):
     path.write_bytes(header + np.array(words, "<u4").tobytes())
 
 
-def evt3_of_a_camera(path, events):
+def evt3_of_a_camera(path, events, on_change=False):
     """Write words from the camera's start at t = 0, with every TIME_HIGH (bits 12 to 23 of t)."""
     words, high = [], -1
     for t, x, y, p in events.tolist():
+        if on_change:  # without those of times when nothing was seen
+            high = max(high, (t >> 12) - 1)
         while high < t >> 12:
             high += 1
             words.append(0x8 << 12 | high & 0xFFF)
@@ -162,6 +164,15 @@ FORMS = {
 }
 WITHOUT_SIZE = ("dsec.h5", "array.npy")
 BAGS = tuple(name for name in FORMS if name.endswith(BAG_SUFFIXES))
+
+
+def test_evt3_whose_clock_starts_again_while_nothing_is_seen(tmp_path):
+    """A sensor that writes the time only when it changes leaves out the words 4095 and 0."""
+    steps_us = np.full(200, 1000)
+    steps_us[100] = 20_000  # a pause of five words
+    t = (1 << 24) - 110_000 + np.cumsum(steps_us)
+    evt3_of_a_camera(tmp_path / "cam1.raw", events_from_arrays(t, t % 7, t % 5, t % 2), True)
+    assert np.array_equal(np.diff(load_events(tmp_path / "cam1.raw").events["t"]), steps_us[1:])
 
 
 def test_every_format_is_tried():
