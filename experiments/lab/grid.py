@@ -8,7 +8,7 @@ CONFIGS ("backgrounds/leaves.png"); any other path is used as given.
 import hashlib
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -160,6 +160,7 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
         raise SsacError(f"methods must be a list of names, got {methods!r}")
     for method in methods:
         choose_method(method)
+    _check_once("methods", methods)
     flights, first_flight = content.get("flights", 10), content.get("first_flight", 0)
     if not (type(flights) is int and flights > 0):
         raise SsacError(f"flights must be a positive integer, got {flights!r}")
@@ -174,9 +175,12 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     n_cells = flights * len(methods) * math.prod(map(len, axes))
     if n_cells > MAX_CELLS:
         raise SsacError(f"the grid has {n_cells} runs, and {MAX_CELLS} are the most: split it")
+    title = content.get("title", name)
+    if not isinstance(title, str):
+        raise SsacError(f"title must be a text, got {title!r}")
     grid = GridConfig(
         name,
-        str(content.get("title", name)),
+        title,
         flights,
         first_flight,
         tuple(methods),
@@ -190,6 +194,8 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     for key in names:
         if names.count(key) > 1:
             raise SsacError(f"{key} is given more than once")
+    for axis in axes:
+        _check_once(", ".join(axis[0]), [list(point.values()) for point in axis])
     if grid.search_around_truth_s is not None and "ssac.interval_s" in names:
         raise SsacError("give either search_around_truth_s or ssac.interval_s, not both")
     if grid.figure is not None and grid.figure.x not in grid.varied:
@@ -276,6 +282,13 @@ def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
         raise SsacError(f"{axis}: expected lists of one length, but {found or 'none'}")
     points = zip(*lists.values(), strict=True)
     return tuple(dict(zip(lists, values, strict=True)) for values in points)
+
+
+def _check_once(name: str, values: Sequence[Any]) -> None:
+    """Raise SsacError for a value given twice: its runs would count as independent ones."""
+    twice = [one for place, one in enumerate(values) if one in values[:place]]
+    if twice:
+        raise SsacError(f"{name}: {twice[0]!r} is given more than once")
 
 
 def _interval(value: Any) -> tuple[float, float] | None:

@@ -135,6 +135,12 @@ def test_parameters_reach_the_field_that_they_name():
         ({"methods": ["scac"]}, "unknown method 'scac': use one of"),
         ({"methods": 3}, "methods must be a list of names, got 3"),
         ({"methods": [3]}, r"methods must be a list of names, got \[3\]"),
+        ({"methods": ["ssac", "ssac"]}, "methods: 'ssac' is given more than once"),
+        (
+            {"grid": {"sim": {"angle_deg": [30, 90, 30.0]}}},
+            r"sim.angle_deg: \[30.0\] is given more",
+        ),
+        ({"title": 3}, "title must be a text, got 3"),
         ({"together": 3}, "together must be a table of tables, got 3"),
         ({"fixed": 3}, "fixed, grid and together must be tables"),
         ({"search_around_truth_s": [1.0]}, "search_around_truth_s: expected two numbers"),
