@@ -96,7 +96,7 @@ def sweep_command(
     """
     grid = _checked(load_config(config))
     out = out or Path("results") / f"{grid.name}.csv"
-    check_writable(out)
+    _check_table(out)
     study = _sweep(grid, out, f"ssac sweep {config}")
     run_studies([study], out.parent, Cache(cache), Workers(workers, scheduler), shard)
 
@@ -110,12 +110,13 @@ def merge_command(
 
     The files that are made from the runs are written beside them.
     """
-    check_writable(out)
+    _check_table(out)
 
     def study_of(config: Mapping[str, Any]) -> Study:
-        if "grid" in config:
+        if "name" in config:  # a grid of the user's
             grid = grid_from_content(config["name"], config["grid"])
-            return _sweep(grid, out, "ssac sweep")
+            points = config.get("points", f"{out.stem}_cells")
+            return sweep_study(grid, out.name, points, "ssac sweep")
         studies = all_studies()
         if config.get("study") not in studies:
             raise SsacError(
@@ -221,6 +222,13 @@ def _own(path: Path) -> Study:
 
 def _sweep(grid: GridConfig, out: Path, command: str) -> Study:
     return sweep_study(grid, out.name, f"{out.stem}_cells", command)
+
+
+def _check_table(out: Path) -> None:
+    """Raise SsacError unless a table and what is made of it can be written."""
+    if out.suffix != ".csv":
+        raise SsacError(f"{out}: the table is a CSV, and its name must end with .csv")
+    check_writable(out)
 
 
 def _checked(grid: GridConfig) -> GridConfig:

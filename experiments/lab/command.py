@@ -117,7 +117,11 @@ def run_studies(
 ) -> None:
     """Run studies one after the other, and write the files of each as soon as it is done."""
     part = parse_shard(shard)
-    made = {file for study in studies for file in study.files}
+    files = [file for study in studies for file in study.files]
+    twice = [file for file in files if files.count(file) > 1]
+    if twice:
+        raise SsacError(f"{twice[0]} would be written twice: run one by one, or rename a TOML file")
+    made = set(files)
     for study in studies if part == WHOLE else ():
         check_reads(study, out, made)
     outcomes, written = [], []

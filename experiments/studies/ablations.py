@@ -97,14 +97,16 @@ LEVEL = 0.95  # of the interval of a mean
 
 def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> Study:
     """Make the study of a grid; `points` is the stem of the table of points, and of the figure."""
-    runs = runs_file.removesuffix(".csv")
-    figure = f"{runs if points != grid.name else points}.png"
+    runs, config = runs_file.removesuffix(".csv"), {"grid": dict(grid.content), "name": grid.name}
+    if points == grid.name:
+        config["points"] = points
+    figure = f"{config.get('points', runs)}.png"
     return Study(
         grid.name, grid.title, grid.cells, SCORED,
         Runs(runs_file, (*grid.varied, "flight", "method")),
         (made_of(f"{points}.csv", lambda table: points_table(table, grid.varied), runs),
          made_of(figure, lambda table: points_figure(table, grid.varied), points)),
-        config={"grid": dict(grid.content), "name": grid.name}, command=command, shows=points,
+        config=config, command=command, shows=points,
         is_committed=False,
     )  # fmt: skip
 

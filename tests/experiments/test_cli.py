@@ -71,6 +71,7 @@ FILES = {
         ("ablate typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
         ("sweep typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
         ("sweep mesh.toml", r"drone\.obj"),
+        ("merge runs.txt part.csv", r"runs\.txt: the table is a CSV, and its name must end with"),
         ("sweep negative.toml", r"negative\.toml: duration_s must be a positive number"),
         ("sweep syntax.toml", r"syntax\.toml: cannot be read as TOML"),
         ("sweep latin.toml", r"latin\.toml: cannot be read as TOML: .* can't decode"),

@@ -10,8 +10,10 @@ from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ablation_table, points_figure, points_table
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
+from ssac.errors import SsacError
 from ssac.methods.tangency import TangencyConfig
 from tests.experiments.command import run
+from tests.experiments.reported import RESULTS
 
 VARIED = ["sim.angle_deg"]
 TOML = """
@@ -95,6 +97,21 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(tmp_path, monkeypatch, comma
     said = run(command, config, "--out", place, "--cache", tmp_path)
     assert {path.name for path in out.iterdir()} == names
     assert "t_d_error_ms ± median" in said  # the table is shown, too
+
+
+def test_two_files_of_one_name_are_refused(tmp_path) -> None:
+    configs = [tmp_path / folder / "my.toml" for folder in "ab"]
+    for config in configs:
+        config.parent.mkdir()
+        config.write_text(TOML)
+    with pytest.raises(SsacError, match=r"my_runs\.csv would be written twice"):
+        run("ablate", *configs, "--out", tmp_path / "out")
+
+
+def test_the_shards_of_an_ablation_are_merged_to_its_files(tmp_path) -> None:
+    run("merge", tmp_path / "ablation_window_runs.csv", RESULTS / "ablation_window_runs.csv")
+    for name in ("ablation_window_runs.csv", "ablation_window.csv"):
+        assert (tmp_path / name).read_bytes() == (RESULTS / name).read_bytes()
 
 
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:
