@@ -291,7 +291,7 @@ def _summed(runs: pd.DataFrame, requirement: Requirement | None) -> dict[str, An
 def meets(run: Mapping[str, Any], requirement: Requirement) -> bool:
     """Return whether a run meets a requirement."""
     if not bool(run["offset_given"]):
-        says_why = run["status"] != CRASHED and bool(run["reason"])
+        says_why = run["status"] != CRASHED and pd.notna(run["reason"]) and run["reason"] != ""
         return says_why and (requirement.may_refuse or requirement.must_refuse)
     errors = (run["t_d_error_ms"], run["r_error_deg"], run["skew_error_ppm"])
     limits = (requirement.t_d_ms, requirement.r_deg, requirement.skew_ppm)

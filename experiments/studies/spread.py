@@ -109,7 +109,8 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
             row = {**counts, "quantity": quantity, "median": np.nan}
             if quantity == "t_d_ms":
                 row["median"] = ok["t_d_ms"].dropna().median()
-            row |= {"spread": spread, "most": np.max(np.abs(off), initial=0.0), "stated": stated}
+            most = float(np.max(np.abs(off))) if len(off) else np.nan
+            row |= {"spread": spread, "most": most, "stated": stated}
             rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
     return pd.DataFrame(rows)
 

@@ -97,12 +97,13 @@ def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate() -> None:
         ("second drone 10 %", RequiredRow("ok", "", True, t_d_error_ms=0.4), False),
         ("second drone 10 %", RequiredRow("several_objects", "two things"), True),
         ("second drone 10 %", RequiredRow("several_objects"), False),  # it gives no reason
+        ("second drone 10 %", RequiredRow("several_objects", np.nan), False),  # as read from a CSV
         ("second drone 10 %", RequiredRow(CRASHED, "a bug"), False),
         ("20 s, jump of 5 ms", RequiredRow("clock_jump", "by"), True),
         ("20 s, jump of 5 ms", RequiredRow("ok", "", True, t_d_error_ms=0.0), False),
         ("5 px drone, davis346", RequiredRow("no_match", "two things"), False),
     ],
-    ids=["near", "far", "told", "untold", "crashed", "jump", "no jump", "refused"],
+    ids=["near", "far", "told", "untold", "empty", "crashed", "jump", "no jump", "refused"],
 )
 def test_a_run_does_as_required(kind: str, row: RequiredRow, is_met: bool) -> None:
     requirement = requirements.KINDS[kind].requirement
