@@ -168,21 +168,29 @@ def wrap_message(place: str) -> str:
     )
 
 
-def is_whole(values: Array) -> bool:
+def is_whole(values: Array, rounding: Array | float = 1e-6) -> bool:
     """Whether all values (n,) are whole numbers, but for rounding."""
-    rounding = 1e-6 * np.maximum(np.abs(values), 1.0)  # as the last digit of a file may cause
     return bool(np.all(np.abs(values - np.rint(values)) < rounding))
 
 
 def time_quantum_s(times_s: Array) -> float:
     """Step [s] of QUANTA_S to which times (n,) were rounded; 0 if they are finer."""
     enough = 20  # times: as many lie on a grid by more than chance
-    if len(times_s) < enough or not is_whole(times_s[:enough] / QUANTA_S[-1]):
+    last_digits_s = 8.0 * np.spacing(np.abs(times_s))  # large after days, and far below any step
+
+    def is_on_grid(step_s: float, n: int) -> bool:
+        return is_whole(times_s[:n] / step_s, np.clip(last_digits_s[:n] / step_s, 1e-6, 0.05))
+
+    if len(times_s) < enough or not is_on_grid(QUANTA_S[-1], enough):
         return 0.0
-    quantum_s = next((step_s for step_s in QUANTA_S if is_whole(times_s / step_s)), 0.0)
+    quantum_s = next((step_s for step_s in QUANTA_S if is_on_grid(step_s, len(times_s))), 0.0)
     gaps_s = np.diff(times_s)
     least_s = float(np.min(gaps_s))
-    return 0.0 if least_s > 0.0 and is_whole(gaps_s / least_s) else quantum_s
+    if least_s <= 0.0:
+        return quantum_s
+    steps = gaps_s / least_s
+    rounding = max(1e-6, float(last_digits_s[-1]) / least_s)
+    return 0.0 if is_whole(steps, rounding * steps) else quantum_s
 
 
 def slice_time(events: Events, start_us: int, end_us: int) -> Events:

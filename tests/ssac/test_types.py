@@ -109,6 +109,16 @@ EVEN = np.arange(0, 3, 1 / 30)
         (np.arange(0, 3, 1 / 25), 0.0),  # whole milliseconds by the frame rate
         (EVEN, 0.0),
         (np.arange(5.0), 0.0),  # too few to tell
+        *(  # of clocks that began hours or decades ago
+            (start_s + times_s, quantum_s)
+            for start_s in (6e3, 1.7e9)
+            for times_s, quantum_s in (
+                (np.sort(np.random.default_rng(0).random(500)), 0.0),
+                (np.floor(np.sort(np.random.default_rng(0).random(500)) * 1e3) / 1e3, 0.001),
+                (np.arange(0, 3, 1 / 25), 0.0),
+                (EVEN, 0.0),
+            )
+        ),
     ],
 )
 def test_times_that_were_cut_off_are_told_from_even_ones(times_s, quantum_s):
