@@ -371,8 +371,7 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     if seen.track is not None:
         return seen
     pieces = [objects.pieces[i] for i in sorted(numbers)]
-    chosen = np.isin(objects.blob_of_event, [k for piece in pieces for k in piece.blobs])
-    far_us = 2**61  # before and after all times
+    chosen, far_us = objects.events_of(pieces), 2**61  # before and after all times
     ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
     ends_us = objects.start_us + objects.bin_us * ends
     # Gaps lie between pieces, in order of time, and before and after all.

@@ -60,6 +60,10 @@ class Objects:
     pieces: list[Piece]  # of objects that move, in order of time
     blob_of_event: Labels = field(repr=False)  # (n,); -1: of none
 
+    def events_of(self, pieces: list[Piece]) -> Mask:
+        """Tell which events (n,) belong to any of these pieces."""
+        return np.isin(self.blob_of_event, [k for piece in pieces for k in piece.blobs])
+
 
 def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
     """Whether more than one object is seen at a time, judged by some of the bins."""
