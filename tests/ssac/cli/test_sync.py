@@ -18,6 +18,7 @@ from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
 from ssac.network.tum import read_path
 from ssac.pipeline.many import short_names
+from ssac.pipeline.plots import d_avg_px
 from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
 from ssac.points import PointTrack
@@ -271,6 +272,15 @@ READOUT_S = 0.02
 def shuttered(tmp_path_factory):
     """The rig states camera 1's readout but not camera 2's, whose true readout is 0."""
     return save_pair(tmp_path_factory.mktemp("tracks"), SCENE, 0.2, READOUT_S)
+
+
+def test_figures_show_the_pairs_with_the_readouts_found(shuttered, tmp_path):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(rig_document()))
+    files = shuttered / "cam1.csv", shuttered / "cam2.csv"
+    result = sync(*files, rig, search="interval", estimate_readout=True)
+    shown_px = d_avg_px(result.answer, np.array([result.t_d_s]))
+    assert shown_px[0] < 1.1 * result.d_avg_px  # of all pairs, few of which are left out
 
 
 @pytest.mark.parametrize("asked", [True, False])
