@@ -96,7 +96,9 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "objects": [asdict(seen.used) for seen in answer.cleans]
         if answer.looks_at_one_object
         else None,
-        "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
+        "clock_jump": None
+        if estimate.jump is None
+        else {name: plain(value) for name, value in asdict(estimate.jump).items()},
         "clutter": [
             None
             if seen.clutter is None
