@@ -66,6 +66,21 @@ def test_offsets_share_a_run_of_a_method_that_follows_the_clock(follows, runs, f
     assert np.diff(offsets_ms) == pytest.approx([450.0])
 
 
+def test_a_skewed_clock_is_right_in_the_middle_of_a_files_flight(fresh, monkeypatch, tmp_path):
+    table = np.zeros((31, 8))
+    table[:, 0], table[:, 1], table[:, 7] = np.linspace(0, 6, 31), np.linspace(-1, 1, 31), 1.0
+    np.savetxt(tmp_path / "flight.csv", table, delimiter=",")
+
+    def mine(cam1, cam2, rig, config=None):
+        return Estimate("mine", t_d_s=0.05, skew_ppm=1000.0, t_ref_s=3.0)
+
+    with_method(monkeypatch, mine)
+    cell = cell_of("mine", 0.05)
+    sim = replace(cell.sim, trajectory_file=tmp_path / "flight.csv", skew_ppm=1000.0)
+    row = scored_row(replace(cell, sim=sim), fresh)
+    assert row.t_d_error_ms == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):
     def mine(cam1, cam2, rig, config=None):
         return Estimate("mine", "search_bound", f"from {config.interval_s[0]:.3f} s on")
