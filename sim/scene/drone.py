@@ -146,8 +146,11 @@ def _albedo(mesh: trimesh.Trimesh) -> FloatArray:
     """Return the linear luminance (F,) of a mesh's face colours."""
     visual = mesh.visual
     if isinstance(visual, trimesh.visual.TextureVisuals):
-        # One colour per vertex, or a single one when the texture is a plain colour.
-        corners = np.atleast_2d(visual.to_color().vertex_colors)  # type: ignore[no-untyped-call]
+        material, images = visual.material, ("image", "baseColorTexture")
+        if any(getattr(material, name, None) is not None for name in images):
+            corners = visual.to_color().vertex_colors  # type: ignore[no-untyped-call]
+        else:
+            corners = material.main_color
         colors = np.broadcast_to(corners, (len(mesh.vertices), 4))[mesh.faces].mean(axis=1)
     elif visual is None or visual.kind is None:
         return np.full(len(mesh.faces), DEFAULT_ALBEDO)

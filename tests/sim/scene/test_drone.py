@@ -132,6 +132,17 @@ def test_colours_become_linear_luminance(tmp_path, suffix, rgb, light):
     np.testing.assert_allclose(part.albedo, light, atol=5e-5)  # the expected light's last digit
 
 
+def test_a_material_without_image_has_its_colour(tmp_path):
+    """As a file of Blender's names it, whose faces have no places in an image."""
+    box = trimesh.creation.box()
+    lines = [f"v {x} {y} {z}" for x, y, z in box.vertices]
+    lines += ["mtllib box.mtl", "usemtl red", *(f"f {a} {b} {c}" for a, b, c in box.faces + 1)]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    (tmp_path / "box.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (part,) = drone_from_file(tmp_path / "box.obj").parts
+    np.testing.assert_allclose(part.albedo, 0.2126, atol=5e-5)
+
+
 def test_scene_keeps_each_mesh_its_colour(tmp_path):
     red, green = trimesh.creation.box(), trimesh.creation.box()
     red.visual.face_colors = (255, 0, 0, 255)
