@@ -36,6 +36,7 @@ from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, packa
 from experiments.lab.results import save_text, sha256
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
+from sim.scene.drone import drone_from_file
 from sim.storage import record
 from ssac.cli.progress import say
 from ssac.errors import SsacError, WriteError
@@ -208,9 +209,17 @@ def recording_key(config: SimConfig, seed: int) -> str:
         content(replace(config, t_d_s=0.0)),
         seed,
         code_digest(*RECORDING_CODE, type(config).__module__),  # the module of the scene
+        *([] if config.drone_file is None else _shown_of(config.drone_file)),
         package_versions(SIM_PACKAGES),
         content(context),
     )
+
+
+def _shown_of(mesh: Path) -> list[str]:
+    """Digest what is drawn of a mesh: its file may name others, of colours or of vertices."""
+    (part,) = drone_from_file(mesh).parts
+    arrays = part.vertices_B_m, part.faces, part.albedo
+    return [hashlib.sha256(array.tobytes()).hexdigest() for array in arrays]
 
 
 def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:

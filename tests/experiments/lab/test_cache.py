@@ -50,6 +50,16 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
     assert content(SimConfig(drone_file=one)) != content(SimConfig(drone_file=two))
 
 
+def test_a_mesh_counts_by_what_the_files_hold_that_it_names(tmp_path):
+    config, colour = SimConfig(drone_file=tmp_path / "one.obj"), tmp_path / "one.mtl"
+    config.drone_file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nmtllib one.mtl\nusemtl a\nf 1 2 3\n")
+    keys = set()
+    for red in (1, 0.5):
+        colour.write_text(f"newmtl a\nKd {red} 0 0\n")
+        keys.add(recording_key(config, 0))
+    assert len(keys) == 2
+
+
 def test_every_part_makes_another_run_and_so_does_another_version_of_a_method(monkeypatch):
     base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.lab.scored",))
     others = [
