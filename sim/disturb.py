@@ -21,7 +21,7 @@ from sim.seeds import generator
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
-from sim.storage import Recorded, check_out_dir, save_recording
+from sim.storage import Recorded, WriteMore, check_out_dir, save_recording
 
 
 @dataclass(frozen=True)
@@ -308,6 +308,7 @@ def record_disturbed(
     provenance: dict[str, Any],
     text: bool = False,
     progress: Callable[[float], None] | None = None,
+    write_more: WriteMore | None = None,
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 
@@ -336,7 +337,7 @@ def record_disturbed(
     true = {one.camera.name: one.camera.K.tolist() for one in cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
     known = [wrong_intrinsics(one.camera.K, disturb, seed, k) for k, one in enumerate(cameras)]
-    return save_recording(recording, out_dir, provenance | spoilt, text, known)
+    return save_recording(recording, out_dir, provenance | spoilt, text, known, write_more)
 
 
 def disturbed(

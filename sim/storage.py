@@ -39,6 +39,9 @@ from sim.recording import SimConfig, stream
 from sim.scene.rig import Camera, Known, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
 
+WriteMore = Callable[[Path, Flight], None]
+"""Writes further files of a flight into its folder, before this appears under its name."""
+
 _NAME_LENGTH = 32  # letters kept of a name, up to 4 bytes each: a file's name has 255 at most
 
 
@@ -156,14 +159,17 @@ def record(
     provenance: dict[str, Any],
     text: bool = False,
     progress: Callable[[float], None] | None = None,
+    write_more: WriteMore | None = None,
 ) -> Recorded:
     """Simulate one flight and write it meanwhile; only one camera's events are in memory.
 
     The arguments and errors are those of `simulate` and `save_recording`.
     """
-    return _write(
-        lambda open_sink: stream(config, seed, open_sink, progress), out_dir, provenance, text
-    )
+
+    def film(open_sink: OpenSink) -> Flight:
+        return stream(config, seed, open_sink, progress)
+
+    return _write(film, out_dir, provenance, text, write_more=write_more)
 
 
 def save_recording(
@@ -172,12 +178,14 @@ def save_recording(
     provenance: dict[str, Any],
     text: bool = False,
     known: Known | None = None,
+    write_more: WriteMore | None = None,
 ) -> Recorded:
     """Write a recording as a folder, new or empty, which appears only when all of it is written.
 
     `provenance`, what it was made with, goes into truth.json as it is; `text` writes the events as
     ESIM text (cam1.txt, ...) too; `known` holds the intrinsics that the rig files state in place of
-    the true ones. SimError when the folder is not empty or cannot be written.
+    the true ones; `write_more` adds files. SimError when the folder is not empty or cannot be
+    written.
     """
 
     def replay(open_sink: OpenSink) -> Flight:
@@ -189,7 +197,7 @@ def save_recording(
             sink.close()
         return recording
 
-    return _write(replay, out_dir, provenance, text, known)
+    return _write(replay, out_dir, provenance, text, known, write_more)
 
 
 def _write(
@@ -198,6 +206,7 @@ def _write(
     provenance: dict[str, Any],
     text: bool,
     known: Known | None = None,
+    write_more: WriteMore | None = None,
 ) -> Recorded:
     """Write what a flight's cameras record, and then all other files."""
     sinks: list[CameraFiles] = []
@@ -216,6 +225,8 @@ def _write(
         # One line for each entry: json's own indentation takes ten times as long as all the rest.
         lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())
         (partial / "truth.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+        if write_more is not None:
+            write_more(partial, flight)
     return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
 
 

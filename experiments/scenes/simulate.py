@@ -15,6 +15,7 @@ from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
+from sim.recorded import Flight
 from sim.recording import Scene, SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
@@ -71,6 +72,8 @@ def simulate_command(
     sensor = chosen_sensor(given)
     given["background"] = tuple(given["background"] or ())
     if given["distortion_model"] == "none":
+        if any(given["distortion"]):
+            raise SimError("--distortion: needs --distortion-model radtan or equidistant")
         given["distortion"] = ()
     config, disturb = chosen(
         given,
@@ -128,15 +131,17 @@ def record_with_progress(
         def show(share: float) -> None:
             advance(round(100 * share))
 
+        how = seed, out_dir, provenance, text, show, _write_path
         if disturb in (None, DisturbConfig()):
-            recorded = record(config, seed, out_dir, provenance, text, show)
-        else:
-            recorded = record_disturbed(config, disturb, seed, out_dir, provenance, text, show)
-    truth = recorded.flight.truth
+            return record(config, *how)
+        return record_disturbed(config, disturb, *how)
+
+
+def _write_path(folder: Path, flight: Flight) -> None:
+    truth = flight.truth
     attitudes = Rotation.from_matrix(truth.T_W_B[:, :3, :3]).as_quat()
     path = SpacePath(truth.times_s, truth.T_W_B[:, :3, 3], quaternions=attitudes)
-    write_path(out_dir / "truth.tum", path)
-    return recorded
+    write_path(folder / "truth.tum", path)
 
 
 def summary(recorded: Recorded, out_dir: Path) -> str:

@@ -84,6 +84,7 @@ FILES = {
              "below 90 deg"),
             ("--cameras 3 --background a.png --background b.png", "one image for all"),
             ("--clock-jump 30 0.02", "expected a time within the flight, 0 to 20 s, got 30"),
+            ("--distortion 0.1 0 0 0", "--distortion: needs --distortion-model radtan or equi"),
             ("--drone missing.stl", "missing.stl does not exist"),
             ("--drone hawk", "expected a mesh file, or one of quadrotor, two-tone, bird, plane"),
             ("--trajectory missing.csv", "cannot read the trajectory missing.csv"),

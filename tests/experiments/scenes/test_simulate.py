@@ -19,6 +19,7 @@ from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
 from sim.sensor.events import PRESETS, SensorConfig
+from ssac.errors import SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
@@ -97,6 +98,16 @@ def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
     effects = replace(SENSOR_PRESETS["davis346-dim"].effects, camera2_light=0.5)
     assert truth["provenance"]["config"]["effects"] == provenance.plain(effects)
     assert min(camera["n_events"] for camera in truth["cameras"].values()) > 10_000
+
+
+def test_the_folder_appears_with_all_that_it_holds(tmp_path, monkeypatch):
+    def full(path, _):
+        raise SsacError(f"{path}: no space left")
+
+    monkeypatch.setattr("experiments.scenes.simulate.write_path", full)
+    with pytest.raises(SsacError, match="no space left"):
+        simulate(tmp_path / "out", *FAST, "--duration", 1)
+    assert [*tmp_path.iterdir()] == []
 
 
 OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
