@@ -217,7 +217,8 @@ def wanted(residuals: Residuals) -> str:
         K, axis = (problem.rig.cam1, problem.rig.cam2)[camera].K, places[0] % 2
         # Columns are linear: s scales points by 1 - s, as a focal length s / (1 - s) longer does.
         size = 100.0 * share / (1.0 - share) if places[0] < 2 else share * K[axis, axis]
-        by = f"{abs(size):.2g} {unit}{words[int(size < 0.0)]}"
+        rounded = float(f"{abs(size):.2g}")  # then :g, as 100 is not to be 1e+02
+        by = f"{rounded:g} {unit}{words[int(size < 0.0)]}"
         found.append((loss, name, f"camera {camera + 1}'s {name} wants to be {by}"))
     found.sort()
     return ", or ".join([said for _, name, said in found if name == found[0][1]][:2])
