@@ -49,13 +49,15 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder to write to; rename that file to `path` at the end.
 
-    If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
-    WriteError, which names `path`, if the file cannot be written, as on a full disk.
+    A symbolic link at `path` stays, and the file to which it leads is written. If the block fails,
+    the temporary file is removed and whatever was at `path` stays as it was. WriteError, which
+    names `path`, if the file cannot be written, as on a full disk.
     """
-    temporary = temporary_path(path)
+    target = _target(path)
+    temporary = temporary_path(target)
     try:
         yield temporary
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except OSError as error:
         if error.filename is not None and str(error.filename) != str(temporary):
             raise  # the error is about another file
@@ -76,9 +78,20 @@ def write_whole(path: Path, text: str) -> None:
 
 def check_writable(path: Path, n_bytes: int = 0) -> None:
     """Raise WriteError, before any work is done, if a file of `n_bytes` cannot be written."""
+    check_folder(_target(path).parent, n_bytes)
+
+
+def _target(path: Path) -> Path:
+    """Return the file to write, past symbolic links; WriteError if something else is there."""
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.is_dir():
         raise WriteError(f"{path}: is a folder: name a file to write")
-    check_folder(path.parent, n_bytes)
+    if (path.exists() and not path.is_file()) or target.is_symlink():  # a link that leads to itself
+        raise WriteError(
+            f"{path}: expected a regular file or a new name, got a device, a pipe, a socket or a "
+            "link that leads to itself: name a file to write"
+        )
+    return target
 
 
 def check_folder(folder: Path, n_bytes: int = 0) -> None:

@@ -90,6 +90,35 @@ def test_what_cannot_be_a_file_is_refused_before_any_work(tmp_path, monkeypatch)
         whole_file.check_writable(tmp_path / "out.csv")
 
 
+def test_what_is_there_and_is_no_file_is_refused_and_stays(tmp_path):
+    pipe, loop = tmp_path / "pipe", tmp_path / "loop"
+    os.mkfifo(pipe)
+    loop.symlink_to(loop)
+    (tmp_path / "link").symlink_to(pipe)
+    for path in (pipe, loop, tmp_path / "link"):
+        said = f"{path}: expected a regular file or a new name, got a device"
+        with pytest.raises(WriteError, match=said):
+            whole_file.check_targets([path], [])
+        with pytest.raises(WriteError, match=said):
+            whole_file.write_whole(path, "")
+    assert pipe.is_fifo()
+    assert loop.is_symlink()
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_through_a_link_its_file_is_written(tmp_path, is_there):
+    (tmp_path / "folder").mkdir()
+    link, file = tmp_path / "out.csv", tmp_path / "folder" / "file.csv"
+    if is_there:
+        file.touch()
+    link.symlink_to(Path("folder") / "file.csv")
+    whole_file.check_targets([link], [])
+    whole_file.write_whole(link, "whole")
+    assert link.is_symlink()
+    assert file.read_text() == "whole"
+    assert [one.name for one in file.parent.iterdir()] == ["file.csv"]
+
+
 def test_a_disk_without_room_is_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(whole_file.shutil, "disk_usage", lambda _: SimpleNamespace(free=5_000_000))
     whole_file.check_folder(tmp_path, 5_000_000)
