@@ -4,6 +4,7 @@ On a terminal the line is folded. The modules imported here need only the standa
 `guarded` also covers the imports of everything else.
 """
 
+import io
 import os
 import platform
 import shlex
@@ -35,6 +36,8 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     `blames_input` are further error types that, like SsacError and OSError, blame the input.
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # as stderr: names may be no UTF-8
     try:
         with _signals_as_exceptions():
             code = run()
@@ -116,7 +119,7 @@ def _bug_line(error: Exception) -> str:
     try:
         path = Path(tempfile.mkdtemp(prefix="ssac-bug-")) / "traceback.txt"
         write_whole(path, "".join(lines))
-    except OSError as unwritten:
+    except (OSError, UnicodeError) as unwritten:
         where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
     else:
         where = f"please report it with the traceback in {path}"

@@ -71,9 +71,13 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file of text as `whole_file` does."""
+    """Write a file of text as `whole_file` does.
+
+    Bytes of file names that are not UTF-8, which Python holds as surrogates, become backslash
+    escapes.
+    """
     with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def check_writable(path: Path, n_bytes: int = 0) -> None:

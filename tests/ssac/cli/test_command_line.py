@@ -336,6 +336,23 @@ def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch)
     assert "raise effect" in err
 
 
+def test_a_bug_with_a_name_that_is_not_utf_8_is_still_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["ssac", "sync", os.fsdecode(b"M\xfcnchen.csv")])
+    assert guarded(Mock(side_effect=KeyError("x"))) == BUG
+    assert capsys.readouterr().err.count("\n") == 1
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert r"M\udcfcnchen.csv" in file.read_text()
+
+
+def test_a_name_that_is_not_utf_8_can_be_printed():
+    body = "    print('M\\udcfcnchen.csv')\n    return 0"
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    process = guarded_process(body, stdout=subprocess.PIPE, env=environment)
+    assert process.communicate() == (b"M\\udcfcnchen.csv\n", b"")
+    assert process.returncode == 0
+
+
 def guarded_process(body: str, **options) -> subprocess.Popen:
     code = f"""
 import sys

@@ -1,5 +1,6 @@
 """`ssac sync` and `ssac track`: what they find, print, read and write."""
 
+import os
 import re
 from dataclasses import replace
 
@@ -187,6 +188,14 @@ def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tm
     assert angle_deg(np.array(found["t"]), SCENE.t) < 1.0
     again = sync(files[0], late, files[-1], search="interval")
     assert abs(again.estimate.t_d_s) < WIDE * again.estimate.t_d_std_s
+
+
+def test_a_file_name_that_is_not_utf_8_is_taken_and_written_with_escapes(pair, tmp_path):
+    name = tmp_path / os.fsdecode(b"M\xfcnchen.csv")
+    name.write_bytes((pair / "cam1.csv").read_bytes())
+    page, files = tmp_path / "a.html", (name, pair / "cam2.csv", "--rig", pair / "rig.yaml")
+    answered(tmp_path, *files, "--report", page)
+    assert r"M\udcfcnchen" in page.read_text()
 
 
 def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
