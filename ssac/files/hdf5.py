@@ -59,7 +59,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
                 f"CD/events; the file has {has}: convert it to one of these layouts"
             )
-    return checked_file(events, size_px, path, reading)
+    return checked_file(events, size_px, path, reading, "microseconds")
 
 
 def load_frames(

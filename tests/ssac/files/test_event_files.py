@@ -342,7 +342,11 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
     [
         ("a.csv", 10**9, "{:.0f}", "t must be in microseconds, .* 50000 events last 19999.6 s: "
          "if it is in nanoseconds, divide"),
-        ("a.npy", 10**9, "{:.0f}", "t must be in microseconds, .* in nanoseconds, divide"),
+        *(
+            (name, 10**n, "{:.0f}", f"t must be in microseconds, .* in {unit}, ")
+            for name in ("a.npy", "a.h5")
+            for n, unit in ((9, "nanoseconds"), (3, "milliseconds"))
+        ),
         ("a.csv", 10**3, "{:.0f}", "t must be in microseconds, .* last 0.02 s: if it is in "
          "milliseconds, multiply"),
         ("a.txt", 10**3, "{:.1f}", "t must be in seconds, .* if it is in milliseconds, divide"),
@@ -354,10 +358,11 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
 )  # fmt: skip
 def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_path):
     times = per_s * (0.00049 + 0.0004 * np.arange(50_000))
-    if name == "a.npy":
+    if name in ("a.npy", "a.h5"):
         events = random_events(len(times))
         events["t"] = times
-        save_events_numpy(tmp_path / name, events, None, None)
+        save = save_events_numpy if name == "a.npy" else save_events_h5
+        save(tmp_path / name, events, None, None)
     else:
         head, between = ("t,x,y,p\n", ",") if name == "a.csv" else ("", " ")
         lines = (between.join((form.format(t), "1", "2", "1")) for t in times)
