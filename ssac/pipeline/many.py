@@ -242,15 +242,18 @@ def write_two(
         for file in filter(None, (trajectory, rig)):
             log(f"not written: {file}, since there is no reliable pose")
         return
+    scale, in_metres = distance_m or 1.0, distance_m is not None
     if trajectory is not None:
         chain = Chain(answer.cleans, answer.rig, answer.config)
         found = solve_pairs(chain, {(0, 1): answer}, distance_m)
         found, ground = grounded(found, known, answer.config.rules.ground)
-        _write_paths(trajectory, found, distance_m is not None or ground is not None, log)
+        if ground is not None:
+            scale, in_metres = scale * ground.similarity.scale, True
+        _write_paths(trajectory, found, in_metres, log)
     if rig is not None:
         T = _transform(estimate)
-        T[:3, 3] *= distance_m or 1.0
-        step = Step(1, T, estimate.t_d_s, in_metres=distance_m is not None)
+        T[:3, 3] *= scale
+        step = Step(1, T, estimate.t_d_s, in_metres)
         _save_rig(rig, answer.cameras, [None, step], log)
 
 

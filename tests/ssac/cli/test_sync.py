@@ -17,7 +17,7 @@ from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
-from ssac.network.tum import read_path
+from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import short_names
 from ssac.pipeline.plots import d_avg_px
 from ssac.pipeline.registry import choose_method
@@ -431,6 +431,19 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
     assert "--distance is not used" in result.stdout
     assert found["scale_is_known"] is False
+
+
+def test_rtk_sets_the_scale_of_the_rig_as_of_the_path(flown, files, tmp_path):
+    rtk, out, rig = (tmp_path / name for name in ("rtk.csv", "path.csv", "rig.yaml"))
+    times_s = np.arange(0.5, DURATION_S - 0.5, 0.1)
+    write_path(rtk, Path(times_s, flown.path(times_s)))
+    outputs = ("--trajectory", out, "--write-rig", rig)
+    result, _ = answered(tmp_path, *files[:2], "--rig", files[-1], "--rtk", rtk, *outputs)
+    assert rms_off_m(flown, out) < 0.15  # as where --distance states the scale
+    assert f"wrote {rig}, lengths in metres" in result.stderr
+    found = load_rig(rig)
+    assert found.in_metres
+    assert np.linalg.norm(found.T_2_1[:3, 3]) == pytest.approx(flown.distance_m, rel=0.01)
 
 
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
