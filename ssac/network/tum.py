@@ -1,9 +1,10 @@
 """Files of paths in space: TUM, `t x y z qx qy qz qw`, and comma-separated values.
 
 The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
-deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too. A TUM file has no place
-for deviations; where the attitude is unknown it says `0 0 0 1` in each row. Where the scale
-is unknown, the unit is not a metre but the distance between cameras 1 and 2.
+deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too, and for times, in
+seconds, `t`, `time`, `time_s` and `timestamp`. A TUM file has no place for deviations; where the
+attitude is unknown it says `0 0 0 1` in each row. Where the scale is unknown, the unit is not a
+metre but the distance between cameras 1 and 2.
 """
 
 import pathlib
@@ -21,8 +22,12 @@ DEVIATION_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 ATTITUDE_COLUMNS = ("qx", "qy", "qz", "qw")
 CSV_SUFFIX = ".csv"
 
-_OTHER_NAMES = {"t": "t_s", "time_s": "t_s", "x": "x_m", "y": "y_m", "z": "z_m"}
+_OTHER_NAMES = {
+    **dict.fromkeys(("t", "time", "time_s", "timestamp"), PATH_COLUMNS[0]),
+    **dict(zip("xyz", PATH_COLUMNS[1:], strict=True)),
+}
 _GLOBE = ("lat", "lon", "lng")
+_WANTED = (*PATH_COLUMNS, *DEVIATION_COLUMNS, *ATTITUDE_COLUMNS)
 _TUM_COLUMNS = (*PATH_COLUMNS, *ATTITUDE_COLUMNS)
 _NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0)
 
@@ -118,8 +123,7 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
     names = _names(rows[0], has_header, file)
-    wanted = (*PATH_COLUMNS, *DEVIATION_COLUMNS, *ATTITUDE_COLUMNS)
-    kept = {name: names.index(name) for name in wanted if name in names}
+    kept = {name: names.index(name) for name in _WANTED if name in names}
     numbers = np.empty((len(rows) - has_header, len(kept)))
     for k, row in enumerate(rows[has_header:]):
         if len(row) != len(names) or not all(is_number(row[column]) for column in kept.values()):
@@ -141,7 +145,9 @@ def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
             f"{file}: a row of a path is `t x y z qx qy qz qw`, `t x y z` or `x y z`, got"
             f" {len(row)} numbers: convert the file"
         )
-    names, said = [_OTHER_NAMES.get(word.lower(), word.lower()) for word in row], ",".join(row)
+    words, said = [word.lower() for word in row], ",".join(row)
+    others = {word: name for word, name in _OTHER_NAMES.items() if name not in words}
+    names = [others.get(word, word) for word in words]
     if any(name.startswith(_GLOBE) for name in names):
         raise SsacError(
             f"{file}: positions must be metres in a local frame, got {said[:60]!r}: "
@@ -151,6 +157,12 @@ def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
         raise SsacError(
             f"{file}: the first line of a path must name the columns {','.join(PATH_COLUMNS)}, got "
             f"{said[:60]!r}: add that line"
+        )
+    unknown = ", ".join(name for name in names if name not in _WANTED)
+    if unknown and PATH_COLUMNS[0] not in names:
+        raise SsacError(
+            f"{file}: expected times in a column {PATH_COLUMNS[0]}, got the unknown columns "
+            f"{unknown[:60]}: name the times, in seconds, {PATH_COLUMNS[0]}, or leave these out"
         )
     return names
 

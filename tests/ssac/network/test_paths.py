@@ -49,6 +49,8 @@ def test_a_path_survives_writing(tmp_path, name, with_deviations):
         "0 1 2 3\n0.5 2 2 4\n",
         "t_s,x_m,y_m,z_m\n0,1,2,3\n0.5,2,2,4\n",
         "\ufefffix, z, y, t, x\r\n1, 3, 2, 0, 1\r\n\r\n1, 4, 2, 0.5, 2\r\n",
+        "Timestamp,x,y,z\n0,1,2,3\n0.5,2,2,4\n",
+        "time,t_s,x,y,z\n9,0,1,2,3\n9,0.5,2,2,4\n",
         "1 2 3\n2 2 4\n",  # which is read where no times are needed
     ],
 )
@@ -78,6 +80,7 @@ def test_forms_that_are_read(tmp_path, text):
         ("t_s,lat,lon,alt_m\n0,47.1,8.2,400\n", "latitude and longitude"),
         ("0 47.1 8.2 400\n1 47.1001 8.2001 420\n", "as of degrees"),
         ("t_s,east,north,up\n0,1,2,3\n", "must name the columns"),
+        ("stamp_ns,x,y,z,fix\n0,1,2,3,4\n", "times in a column t_s, got .* stamp_ns, fix: name"),
         ("0 1 2 3\n200000 1 2 4\n", "give seconds"),
         ("0 1 2 3 0 0 0 1\n1 1 2 4 0 0 0 0\n", "quaternion is zero"),
         (b"\x89PNG\xff\xfe\x00", "not a text file"),
