@@ -66,7 +66,7 @@ class Rig:
     cam1: Camera  # its frame and its clock are those of the rig
     cam2: Camera  # the other
     T_2_1: Array | None = None  # (4, 4), x2 = T_2_1 x1, [m]
-    in_metres: bool = True  # False: in distances between a network's cameras, of unknown scale
+    in_metres: bool = True  # False: T_2_1 is in an unknown unit, as the distance between cameras
 
     @property
     def unposed(self) -> "Rig":

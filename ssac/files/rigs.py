@@ -50,7 +50,9 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     -------
     Rig
         Cameras with valid intrinsics, whose deviations are those of a good calibration if the file
-        states none; T_2_1 in metres, unless a camera's key `length_unit` says otherwise.
+        states none; T_2_1 in metres if the key `length_unit` of a camera, or of an OpenCV file,
+        says `m`. Without the key, a camchain's is in metres, and an OpenCV file's in a unit that is
+        not known: it is that of the board's squares.
     """
     path = Path(path)
     if path.suffix.lower() not in RIG_SUFFIXES:
@@ -141,10 +143,7 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
             return Rig(cam1, cam2)
         steps.append(_numbers(entry[f"T_cn_cnm{back}"], (4, 4), f"{name}, T_cn_cnm{back}"))
         check_transform(steps[-1], f"{name}, T_cn_cnm{back}")
-        units.append(entry.get("length_unit", "m"))
-        if units[-1] not in LENGTH_UNITS:
-            expected = f"expected {' or '.join(LENGTH_UNITS)}, got {_shown(units[-1])}"
-            raise SsacError(f"{name}, length_unit: {expected}: correct it")
+        units.append(_length_unit(entry.get("length_unit", LENGTH_UNITS[0]), name))
         k -= back
     if not steps:
         return Rig(cam1, cam2)
@@ -152,7 +151,14 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
     for step in reversed(steps):
         T = step @ T
     T = T if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T))
-    return Rig(cam1, cam2, T, set(units) == {"m"})
+    return Rig(cam1, cam2, T, set(units) == {LENGTH_UNITS[0]})
+
+
+def _length_unit(unit: Any, name: str) -> str:
+    if unit not in LENGTH_UNITS:
+        expected = f"expected {' or '.join(LENGTH_UNITS)}, got {_shown(unit)}"
+        raise SsacError(f"{name}, length_unit: {expected}: correct it")
+    return str(unit)
 
 
 def _camera_from_kalibr(name: str, entry: Any) -> Camera:
@@ -219,7 +225,13 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
     T_2_1[:3, :3] = _numbers(matrix("R"), (3, 3), f"{path}, R")
     T_2_1[:3, 3] = _numbers(matrix("T").ravel(), (3,), f"{path}, T")
     check_transform(T_2_1, f"{path}, R")
-    return Rig(cam1, cam2, T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1)))
+    unit = storage.getNode(
+        "length_unit"
+    )  # OpenCV's own files do not say that of the board's squares
+    is_stated = not unit.empty()
+    in_metres = is_stated and _length_unit(unit.string(), str(path)) == LENGTH_UNITS[0]
+    T_2_1 = T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1))
+    return Rig(cam1, cam2, T_2_1, in_metres)
 
 
 def _checked_camera(

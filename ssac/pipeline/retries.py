@@ -224,7 +224,8 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
         return
     for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
         careless = times * rules.careless_focal, times * rules.careless_centre_px
-        yield Rig(_known_to(rig.cam1, *careless), _known_to(rig.cam2, *careless), rig.T_2_1), most
+        cam1, cam2 = (_known_to(camera, *careless) for camera in (rig.cam1, rig.cam2))
+        yield replace(rig, cam1=cam1, cam2=cam2), most
 
 
 def _known_to(camera: Camera, focal: float, centre_px: float) -> Camera:

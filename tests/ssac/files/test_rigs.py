@@ -189,8 +189,23 @@ def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
 
 
 @pytest.mark.parametrize(
+    ("unit", "in_metres"), [(None, False), ("m", True), ("first_baseline", False)]
+)
+@pytest.mark.parametrize("cameras", [(1, 2), (2, 1)])
+def test_the_unit_of_an_opencv_pose_is_metres_only_where_that_is_stated(
+    tmp_path, unit, in_metres, cameras
+):
+    more = {} if unit is None else {"length_unit": unit}
+    rig = load_rig(_write_opencv(tmp_path / "stereo.yaml", **POSE, **more), cameras)
+    assert rig.in_metres == in_metres
+    assert np.linalg.norm(rig.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
+
+
+@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: mm", "length_unit: expected m or"),
+        ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: 1", "length_unit: expected m or"),
         ("size: [ 346, 260 ]", "", "the image size is missing: add `size"),
         ("K2", "Q2", "expected a matrix K2"),
         ("200.", ".Nan", "camera 1: K must be a finite 3x3 matrix"),

@@ -162,10 +162,11 @@ def test_intrinsics_in_doubt_widen_the_deviations(events, right):
 )
 def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, states, n):
     known = with_deviations(CAMERA, 0.001, 25.0) if states else UNSTATED
-    rig = Rig(UNSTATED, known)
+    rig = Rig(UNSTATED, known, np.eye(4), in_metres=False)
     found = Estimate("joint", status, "why", against=against)
     rigs = [rig, *(one for one, _ in less_certain(rig, found, VerdictRules()))]
     assert len(rigs) == 1 + n
+    assert not any(one.in_metres for one in rigs)
     stds_px = [(one.cam1.intrinsics_std_px, one.cam2.intrinsics_std_px) for one in rigs]
     more_px = np.diff(stds_px, axis=0)
     assert np.all(more_px >= 0.0)
