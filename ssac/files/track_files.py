@@ -68,9 +68,12 @@ def load_track(path: Path | str) -> PointTrack:
 def save_track(path: Path | str, track: PointTrack) -> None:
     """Write a track file, times to 0.1 us and points to 1e-4 px; it appears when complete."""
     names, columns = [*TRACK_COLUMNS], [track.times_s, *track.points_px.T]
+    formats = ["%.7f", "%.4f", "%.4f"]
     if track.sigmas_px is not None:
         names, columns = [*names, _SIGMA], [*columns, track.sigmas_px]
-    formats, header = ["%.7f", *["%.4f"] * (len(names) - 1)], ",".join(names)
+        # Small deviations keep their digits, as 0 would be refused.
+        formats.append("%.4g" if (track.sigmas_px < 1e-3).any() else "%.4f")
+    header = ",".join(names)
     with whole_file(Path(path)) as temporary:
         np.savetxt(temporary, np.column_stack(columns), formats, ",", header=header, comments="")
 

@@ -198,6 +198,14 @@ def test_a_file_name_that_is_not_utf_8_is_taken_and_written_with_escapes(pair, t
     assert r"M\udcfcnchen" in page.read_text()
 
 
+def test_deviations_of_a_track_are_written_as_numbers_above_zero(tmp_path):
+    for sigmas_px in ([0.3517, 12.3456], [0.3517, 2e-6]):
+        track = PointTrack(np.arange(2.0), np.ones((2, 2)), np.array(sigmas_px))
+        save_track(tmp_path / "cam1.csv", track)
+        found = load_track(tmp_path / "cam1.csv").sigmas_px
+        np.testing.assert_allclose(found, sigmas_px, rtol=5e-4)
+
+
 def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
     """The answer has a search, but no guess from which a table or the network could start."""
     whole = (load_track(pair / name) for name in ("cam1.csv", "cam2.csv"))
