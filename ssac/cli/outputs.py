@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 PAGE_SUFFIXES = (".html", ".htm")
 
+# Of pictures that are not written; a name that ends so is not meant as a folder's.
+_OTHER_PICTURES = (".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp")
+
 
 @dataclass(frozen=True)
 class Outputs:
@@ -59,6 +62,11 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
             raise SsacError(
                 f"{plot}: exists and is no folder: name a folder, or a file ending in "
                 f"{', '.join(FIGURE_SUFFIXES)}"
+            )
+        if plot.suffix.lower() in _OTHER_PICTURES:
+            raise SsacError(
+                f"{plot}: cannot write the extension {plot.suffix!r}: name a folder, or a file "
+                f"ending in {', '.join(FIGURE_SUFFIXES)}"
             )
         check_folder(plot)
     check_targets(files, [file_of(path) for path in inputs])

@@ -88,6 +88,7 @@ EVENTS = [
     ("cam1.h5 --write-synced out.raw", "out.raw: cannot write the extension '.raw'"),
     ("cam1.h5 --write-synced cam1.h5", "cam1.h5: is one of the inputs"),
     ("cam1.h5 --plot cam1.h5", "cam1.h5: exists and is no folder"),
+    ("cam1.h5 --plot fig.JPG", "fig.JPG: cannot write the extension '.JPG': name a folder, or a"),
     ("cam1.h5 --plot cam1.h5/figures", "cam1.h5 is a file: name a folder"),
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --rtk zero.h5", "zero.h5: there are no points: give a path of some"),
