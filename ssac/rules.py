@@ -413,6 +413,7 @@ class NetworkRules:
     trials: int = 400  # of RANSAC for a camera's pose
     first_jerk: float = 3.0  # of a first path, in extents / s^2.5
     first_sigma_widths: float = 0.004  # first deviation of a sighting, in widths of the image
+    fast_sigmas: float = 3.0  # of a rate by pairs, in its prior's deviations: the prior is wrong
     misfit: float = 8.0  # least rms error of a camera that does not fit, in the others' median; ...
     least_misfit_widths: float = 0.004  # ... and in widths of the image
     knot_intervals: float = 4.0  # from knot to knot, in intervals of the slowest camera but one

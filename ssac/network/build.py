@@ -85,10 +85,10 @@ def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) 
     seen = np.isfinite(points[:, 0])
     path, jerk = first_path(knots_s, sample_s[seen], points[seen], rules)
     sigmas = np.array([rules.first_sigma_widths * camera.camera.width for camera in cameras])
-    expected = [
-        replace(priors[k], expected_rate=state.rate if abs(state.rate) > 0.01 else 0.0)
-        for k, state in zip(members, states, strict=True)
-    ]
+    expected = []
+    for k, state in zip(members, states, strict=True):
+        is_fast = abs(state.rate) > rules.fast_sigmas * priors[k].rate
+        expected.append(replace(priors[k], expected_rate=state.rate if is_fast else 0.0))
     network = Network(cameras, expected, masks, states, path, sigmas, jerk, distance, rules)
     return Built(members, *adjust(network, rules.first_rounds, with_intrinsics=False), [])
 

@@ -108,6 +108,21 @@ def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solution
     assert "no pair" in found.cameras[3].reason
 
 
+def test_a_rate_that_pairs_found_is_kept_however_far_from_its_prior() -> None:
+    flight, skew_ppm = solved()[0], 2500.0  # the prior's deviation is 50 ppm
+    seen = list(flight.seen)
+    clocks = [*flight.clocks[:3], replace(flight.clocks[3], skew_ppm=skew_ppm)]
+    shown_s = clocks[3].cam2_from_cam1(flight.clocks[3].cam1_from_cam2(seen[3].times_s))
+    seen[3] = seen_by(PointTrack(shown_s, seen[3].points_px), "fast")
+    links = flight.links()
+    for k in range(3):
+        told = replace(links[k, 3].clock, skew_ppm=skew_ppm)
+        links[k, 3] = replace(links[k, 3], clock=told)
+    camera = replace(flight, seen=seen, clocks=clocks).solved(links).cameras[3]
+    assert camera.skew_ppm == pytest.approx(skew_ppm, abs=4.0 * camera.skew_std_ppm)
+    assert camera.skew_std_ppm < 50.0
+
+
 def test_deviations_hold_over_many_flights() -> None:
     scores = []
     for seed in range(6):
