@@ -177,13 +177,13 @@ class NetworkAnswer:
 
 
 def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
-    """Return the link of a pair, with a factor if it is `of_events`; None if nothing is known."""
+    """Return the link of a pair, with a factor if it is `of_events`; None if nothing is known.
+
+    An estimate with an offset must have a `t_ref_s`: at other times the network's rates add to it.
+    """
     if estimate.has_offset:  # the network estimates the strays
-        t_ref_s = estimate.t_ref_s
-        if not np.isfinite(t_ref_s):
-            t_ref_s = 0.0 if guess is None else guess.t_ref_s
         skew_ppm = estimate.skew_ppm if np.isfinite(estimate.skew_ppm) else 0.0
-        clock = Clock(estimate.t_d_s, skew_ppm, t_ref_s)
+        clock = Clock(estimate.t_d_s, skew_ppm, estimate.t_ref_s)
     elif guess is not None:
         clock = Clock(guess.t_d_s, guess.skew_ppm, guess.t_ref_s)
     else:

@@ -1,7 +1,7 @@
 """Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -207,7 +207,11 @@ def solve_pairs(
     links = dict[Pair, Link]()
     for pair, answer in pairs.items():
         of_events = not any(seen[k].has_frames for k in pair)
-        link = link_of(answer.estimate, answer.guess, of_events)
+        estimate = answer.estimate
+        if estimate.has_offset and not np.isfinite(estimate.t_ref_s):  # it has no skew
+            middle_s = 0.5 * sum(answer.paired.common_s(estimate.t_d_s))
+            estimate = replace(estimate, t_ref_s=middle_s)
+        link = link_of(estimate, answer.guess, of_events)
         if link is not None:
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)

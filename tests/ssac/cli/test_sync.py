@@ -372,6 +372,18 @@ def test_three_cameras(flown, files, tmp_path):
     assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see most of it
 
 
+def test_pairs_without_a_skew_contradict_no_network_at_epoch_times(files, tmp_path):
+    late = []
+    for file in files[:3]:
+        track = load_track(file)
+        late.append(tmp_path / file.name)
+        save_track(late[-1], replace(track, times_s=track.times_s - track.times_s[0] + 1.7e9))
+    options = ("--method", "ssac", "--search", -1, 1)
+    _, found = answered(tmp_path, *late, "--rig", files[-1], *options)
+    assert found["status"] == "ok"
+    assert [pair["contradicted_by_s"] for pair in found["pairs"]] == [None] * 3
+
+
 @pytest.mark.parametrize(
     ("names", "short"),
     [
