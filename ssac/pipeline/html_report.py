@@ -6,7 +6,7 @@ Nothing here decides anything; all numbers come from the answers.
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from typing import Any
@@ -40,12 +40,12 @@ def report_page(
     network: NetworkAnswer | None,
     summary: Rows,
     command: str = "",
-    unit: str = "",
+    units: Sequence[str] = (),
 ) -> str:
     """Return the page on two cameras, or on all pairs of more cameras and their network.
 
     `summary` has the rows that are printed, `command` is the command line (empty: a Python call),
-    and `unit` is the network's unit of length. The same input gives the same bytes.
+    and `units` are the networks' units of length. The same input gives the same bytes.
     """
     cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
@@ -56,10 +56,10 @@ def report_page(
         .render(
             title=_title(answers, network),
             status=_status(answers, network),
-            cards=_cards(answers[0, 1]) if network is None else _cards_of_many(network, unit),
+            cards=_cards(answers[0, 1]) if network is None else _cards_of_many(network, units),
             player=player_of(answers, cameras, network),
             network=network,
-            unit=unit,
+            unit=_said(units),
             graph=None if network is None else _graph(answers, network),
             pairs=[
                 {
@@ -224,7 +224,14 @@ def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
     ]
 
 
-def _cards_of_many(network: NetworkAnswer, unit: str) -> list[Card]:
+def _said(units: Sequence[str]) -> str:
+    """Name the unit of all groups, or that of each."""
+    if len(set(units)) < 2:
+        return "".join(units[:1])  # empty for a page on two cameras
+    return ", ".join(f"{unit} (group {k})" for k, unit in enumerate(units, start=1))
+
+
+def _cards_of_many(network: NetworkAnswer, units: Sequence[str]) -> list[Card]:
     """Return a card with the offset and position of each camera but the first of its group."""
     cards = list[Card]()
     for k, one in enumerate(network.cameras):
@@ -234,7 +241,7 @@ def _cards_of_many(network: NetworkAnswer, unit: str) -> list[Card]:
         offset = f"Camera {k + 1}'s clock", one.t_d_s, one.t_d_std_s, one.t_ref_s, first
         name, value, sure = _offset_card(*offset)
         stds = np.sqrt(np.diag(one.centre_covariance))
-        stands = f"{vector(one.centre, 3)}, {_around(stds, 3)}, in {unit}"
+        stands = f"{vector(one.centre, 3)}, {_around(stds, 3)}, in {units[one.group - 1]}"
         cards.append((name, value, f"{sure}. It stands at {stands}"))
     return cards
 

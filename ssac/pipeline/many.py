@@ -39,7 +39,7 @@ class NetworkResult:
     rig_name: str  # for messages: a file's path
     network: NetworkAnswer  # clocks and poses of all cameras, and the object's path
     pairs: dict[Pair, Answer]  # answers for two cameras each, by their numbers from 0 on
-    scale_is_known: bool  # lengths in metres; False: in distances of the first two placed
+    scale_is_known: bool  # of the first group; unknown: in distances of the first two placed
     ground: Ground | None  # the frame of cameras and path; None: the first camera's
     seconds: dict[str, float]  # by part, in the order they ran
     note: str = ""  # which argument of the call could not be used
@@ -59,6 +59,11 @@ class NetworkResult:
         """Clock and pose of each camera (`ssac.network.solve.CameraAnswer`)."""
         return list(self.network.cameras)
 
+    @property
+    def are_in_metres(self) -> list[bool]:
+        """Whether each group's lengths are in metres, in the order of the networks."""
+        return [self.scale_is_known and k == 0 for k in range(len(self.network.built))]
+
     def summary(self) -> str:
         """Return the result as text for people, as `ssac sync` prints it."""
         return text_of(self.rows())
@@ -73,7 +78,8 @@ class NetworkResult:
         if self.ground is not None:
             rows.append(("frame", self.ground.said))
         for camera in answer.cameras:
-            rows += _camera_rows(camera, " m" if self.scale_is_known else "")
+            in_metres = camera.group > 0 and self.are_in_metres[camera.group - 1]
+            rows += _camera_rows(camera, " m" if in_metres else "")
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
@@ -81,8 +87,8 @@ class NetworkResult:
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():
             rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
-        unit = _unit(self.scale_is_known)
-        for k, found in enumerate(answer.paths, start=1):
+        units = map(_unit, self.are_in_metres)
+        for k, (found, unit) in enumerate(zip(answer.paths, units, strict=True), start=1):
             stds = found.path.deviations_m
             medians = np.full(3, np.nan) if stds is None or not len(stds) else np.median(stds, 0)
             sigma = ", ".join(f"{value:.2g}" for value in medians)
@@ -123,8 +129,11 @@ class NetworkResult:
                     "cameras": [k + 1 for k in built.members],
                     "n_path": len(found.path),
                     "path_spans_s": plain(found.spans_s),
+                    "scale_is_known": in_metres,
                 }
-                for built, found in zip(answer.built, answer.paths, strict=True)
+                for built, found, in_metres in zip(
+                    answer.built, answer.paths, self.are_in_metres, strict=True
+                )
             ],
             "scale_is_known": self.scale_is_known,
             "frame": "of each group's first camera" if self.ground is None else self.ground.said,
@@ -154,8 +163,8 @@ class NetworkResult:
         """Write a page as `Result.report` does, on all pairs and their network; give its path."""
         from ssac.pipeline.html_report import report_page
 
-        unit = _unit(self.scale_is_known)
-        page = report_page(self.pairs, self.network, self.rows(), command, unit)
+        units = [_unit(in_metres) for in_metres in self.are_in_metres or [False]]
+        page = report_page(self.pairs, self.network, self.rows(), command, units)
         write_whole(Path(path), page)
         return Path(path)
 
@@ -294,7 +303,8 @@ def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None,
 def _save_rig(
     file: Path, cameras: Sequence[Camera], steps: Sequence[Step | None], log: Log, apart: str = ""
 ) -> None:
-    about = f"lengths in {_unit(any(step is not None and step.in_metres for step in steps))}"
+    units = dict.fromkeys(_unit(step.in_metres) for step in steps if step is not None)
+    about = f"lengths in {' or '.join(units)}{', as length_unit says' * (len(units) > 1)}"
     if apart:
         about += f"; no pose with the others: {apart}"
     save_rig(file, cameras, steps, f"{about}; t_cn = t_cnm1 + timeshift_cn_cnm1")
@@ -312,12 +322,13 @@ def _transform(of: CameraAnswer | Estimate) -> Array:
 
 
 def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
-    """Write and log the path of the first group; those of others go to numbered files beside it."""
+    """Write and log the path of the first group, perhaps in metres; others to numbered files."""
     for k, found in enumerate(answer.paths):
         other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
         write_path(other, found.path)
         spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)
-        held = f"{len(found.path)} samples in {_unit(in_metres)}, which hold from {spans}"
+        unit = _unit(in_metres and k == 0)
+        held = f"{len(found.path)} samples in {unit}, which hold from {spans}"
         log(f"wrote {other}: {held}")
     if not answer.paths:
         log(f"not written: {file}, since no cameras see the object's path together")

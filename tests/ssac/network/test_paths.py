@@ -14,6 +14,7 @@ from ssac.network.comparison import compare
 from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import solve_network
 from ssac.network.tum import Path, read_path, write_path
+from ssac.pipeline.many import NetworkResult, write_many
 from ssac.rules import GroundRules
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, RULES, make_flight
@@ -393,6 +394,25 @@ def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solve
     write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
     with pytest.raises(SsacError, match="lever arm turns with the body"):
         ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, arm_m)
+
+
+def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp_path):
+    flight, log = make_flight(5), []
+    alone = {pair: flight.links()[pair] for pair in ((0, 1), (0, 2), (1, 2), (3, 4))}
+    answer = solve_network(flight.seen, alone, 50.0, 1.0, RULES)
+    write_positions(tmp_path / "positions.csv", centres_m(flight)[:3])
+    ground = ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
+    names = tuple(camera.name for camera in answer.cameras)
+    result = NetworkResult(names, "", in_frame(answer, ground), {}, True, ground, {})
+    metres, unknown = "in metres", "in distances of the first two cameras placed"
+    paths = [value for name, value in result.rows() if name.startswith("path ")]
+    assert [value.partition("), ")[2] for value in paths] == [metres, unknown]
+    stand = [value for _, value in result.rows() if value.startswith("at (")]
+    assert [") m, turned" in value for value in stand] == [True, True, False]
+    assert [group["scale_is_known"] for group in result.to_dict()["groups"]] == [True, False]
+    write_many(result, tmp_path / "path.csv", None, log.append)
+    assert [f" {metres}," in line for line in log] == [True, False]
+    assert f" {unknown}," in log[1]
 
 
 def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
