@@ -261,6 +261,21 @@ _MISFIT = (
 )
 
 
+def rounded_by(answer: NetworkAnswer, quanta_s: Sequence[float]) -> NetworkAnswer:
+    """Widen each offset's deviation by the shift that rounding of both cameras' times may cause.
+
+    Times of each camera are rounded to `quanta_s`: see `ssac.methods.verdict.less_sure`.
+    """
+    cameras = list(answer.cameras)
+    for built in answer.built:
+        first, *others = built.members  # the offset of the first to itself is exact
+        for k in others:
+            hidden_s = np.hypot(quanta_s[k], quanta_s[first]) / np.sqrt(12.0)
+            t_d_std_s = float(np.hypot(cameras[k].t_d_std_s, hidden_s))
+            cameras[k] = replace(cameras[k], t_d_std_s=t_d_std_s)
+    return replace(answer, cameras=cameras)
+
+
 def _contradicted(
     built_all: list[Built], links: Mapping[Pair, Link], max_closure_s: float
 ) -> dict[Pair, float]:

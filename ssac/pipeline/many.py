@@ -16,9 +16,10 @@ from ssac.estimate import Estimate, Status
 from ssac.files.rigs import Step, save_rig
 from ssac.files.whole_file import FIGURE_SUFFIXES, write_whole
 from ssac.methods.method import Method
+from ssac.methods.verdict import quantum_s
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
-from ssac.network.solve import CameraAnswer, NetworkAnswer, link_of, solve_network
+from ssac.network.solve import CameraAnswer, NetworkAnswer, link_of, rounded_by, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
@@ -195,6 +196,8 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
         if distance_m is not None and [one.members[:2] for one in answer.built] != [[0, 1]]:
             distance_m, answer = None, solve_pairs(chain, pairs)
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
+        quanta_s = [quantum_s(chain.clean(k)) for k in range(len(chain))]
+        answer = rounded_by(answer, quanta_s)
         answer, ground = grounded(answer, known, chain.config.rules.ground)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or distance_m is not None

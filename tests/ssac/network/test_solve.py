@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ssac.estimate import Estimate, Status
 from ssac.network.adjustment import border_offsets, known
 from ssac.network.graph import factor_of, shared_by
-from ssac.network.solve import NetworkAnswer, answer_of, path_at
+from ssac.network.solve import NetworkAnswer, answer_of, path_at, rounded_by
 from ssac.network.state import BEHIND
 from ssac.points import PointTrack
 from ssac.rules import BodyRules
@@ -121,6 +121,18 @@ def test_a_rate_that_pairs_found_is_kept_however_far_from_its_prior() -> None:
     camera = replace(flight, seen=seen, clocks=clocks).solved(links).cameras[3]
     assert camera.skew_ppm == pytest.approx(skew_ppm, abs=4.0 * camera.skew_std_ppm)
     assert camera.skew_std_ppm < 50.0
+
+
+def test_rounded_times_widen_each_offset_but_that_of_the_first_camera_as_they_do_of_pairs() -> None:
+    _, answer = solved()
+    quanta_s = np.array([0.01, 0.0, 0.001, 0.01])
+    before, after = (
+        np.array([camera.t_d_std_s for camera in one.cameras])
+        for one in (answer, rounded_by(answer, quanta_s))
+    )
+    assert after[0] == before[0] == 0.0
+    expected_s2 = (quanta_s[1:] ** 2 + quanta_s[0] ** 2) / 12.0
+    np.testing.assert_allclose(after[1:] ** 2 - before[1:] ** 2, expected_s2)
 
 
 def test_deviations_hold_over_many_flights() -> None:
