@@ -225,11 +225,8 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
     T_2_1[:3, :3] = _numbers(matrix("R"), (3, 3), f"{path}, R")
     T_2_1[:3, 3] = _numbers(matrix("T").ravel(), (3,), f"{path}, T")
     check_transform(T_2_1, f"{path}, R")
-    unit = storage.getNode(
-        "length_unit"
-    )  # OpenCV's own files do not say that of the board's squares
-    is_stated = not unit.empty()
-    in_metres = is_stated and _length_unit(unit.string(), str(path)) == LENGTH_UNITS[0]
+    unit = storage.getNode("length_unit")  # a key of ours: OpenCV itself states no unit
+    in_metres = not unit.empty() and _length_unit(unit.string(), str(path)) == LENGTH_UNITS[0]
     T_2_1 = T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1))
     return Rig(cam1, cam2, T_2_1, in_metres)
 
