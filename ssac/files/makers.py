@@ -48,9 +48,8 @@ _STREAM = re.compile(rb'<node name="(\d+)"')
 def load_makers_file(path: Path, reading: Reading, named: Path | None = None) -> EventFile:
     """Read a camera maker's file; messages call it `named`, or `path` if `named` is None."""
     name = named or path
-    refuse_damaged(name, _signs(path), reading)
     with TemporaryDirectory() as folder:
-        decoded = _decoded(_with_wraps(path, Path(folder)), reading, name)
+        decoded = _decoded(_undamaged(path, reading, name, Path(folder)), reading, name)
     file = checked_file(*decoded, name, reading)
     if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
         warnings.warn(
@@ -90,15 +89,36 @@ def _decoded(
     return events, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
 
 
-def _with_wraps(path: Path, folder: Path) -> Path:
+def _undamaged(path: Path, reading: Reading, name: Path, folder: Path) -> Path:
+    """Return the file that faery is to decode; SsacError for damage that faery overlooks."""
+    suffix = path.suffix.lower()
+    if suffix in (".aedat4", ".es"):
+        refuse_damaged(name, _signs_of_packets(path) if suffix == ".aedat4" else [], reading)
+        return path
+    encoding = "dat" if suffix == ".dat" else _evt_version(path)
+    dtype, n_about, find = {
+        "evt2": ("<u4", 0, _signs_of_evt2),
+        "evt3": ("<u2", 0, _signs_of_evt3),
+        "dat": ("<u8", 2, _signs_of_dat),  # 2 bytes of a record's type and size
+    }[encoding]
+    words, n_rest = _words(path, np.dtype(dtype), n_about)
+    signs = [
+        f"{count} {kind} ({100.0 * count / len(words):.2g} %)"
+        for count, kind in zip(find(words), _KINDS, strict=True)
+        if count
+    ]
+    if n_rest:
+        signs.append(f"{n_rest} bytes beyond the last whole word of {words.itemsize}")
+    refuse_damaged(name, signs, reading)
+    return _with_wraps(path, words, n_rest, folder) if encoding == "evt3" else path
+
+
+def _with_wraps(path: Path, words: Words, n_rest: int, folder: Path) -> Path:
     """Return a file, or a copy of an EVT3 file with the words by which faery knows a wrap-around.
 
     It takes the clock, of 16.8 s, to start again only where a word of 4095 is followed by one of 0,
     and a sensor that writes the time only when it changes may see nothing just then.
     """
-    if path.suffix.lower() != ".raw" or _evt_version(path) != "evt3":
-        return path
-    words, n_rest = _words(path, np.dtype("<u2"), 0)
     at = np.flatnonzero(words >> 12 == 0x8)
     high = (words[at] & 0xFFF).astype(np.int64)
     wraps = high[1:] - high[:-1] < -0x800
@@ -110,30 +130,6 @@ def _with_wraps(path: Path, folder: Path) -> Path:
     told = np.insert(words, np.repeat(untold, 2), np.tile([0x8FFF, 0x8000], len(untold)))
     mended.write_bytes(header + told.tobytes())
     return mended
-
-
-def _signs(path: Path) -> list[str]:
-    """List signs of damage that faery overlooks, or that would crash it."""
-    suffix = path.suffix.lower()
-    if suffix == ".aedat4":
-        return _signs_of_packets(path)
-    if suffix == ".es":
-        return []
-    encoding = "dat" if suffix == ".dat" else _evt_version(path)
-    dtype, n_about, find = {
-        "evt2": ("<u4", 0, _signs_of_evt2),
-        "evt3": ("<u2", 0, _signs_of_evt3),
-        "dat": ("<u8", 2, _signs_of_dat),  # 2 bytes of a record's type and size
-    }[encoding]
-    words, rest = _words(path, np.dtype(dtype), n_about)
-    signs = [
-        f"{count} {kind} ({100.0 * count / len(words):.2g} %)"
-        for count, kind in zip(find(words), _KINDS, strict=True)
-        if count
-    ]
-    if rest:
-        signs.append(f"{rest} bytes beyond the last whole word of {words.itemsize}")
-    return signs
 
 
 def _evt_version(path: Path) -> str:
