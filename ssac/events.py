@@ -193,6 +193,15 @@ def time_quantum_s(times_s: Array) -> float:
     return 0.0 if is_whole(steps, rounding * steps) else quantum_s
 
 
+def rounding_variance_s2(*quanta_s: float) -> float:
+    """Variance [s^2] of an offset between clocks whose times were rounded to steps.
+
+    Times truncated to a step of q are off by q / 2 on average, rounded ones are not: +-1.96
+    deviations of a uniform distribution of width q cover both.
+    """
+    return sum(step_s**2 for step_s in quanta_s) / 12.0
+
+
 def slice_time(events: Events, start_us: int, end_us: int) -> Events:
     """View of sorted events with start_us <= t < end_us, found by bisection; may be empty."""
     t = events["t"]

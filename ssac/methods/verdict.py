@@ -7,7 +7,7 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.config import N_MIN
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
-from ssac.events import US_PER_S, time_quantum_s
+from ssac.events import US_PER_S, rounding_variance_s2, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
 from ssac.geometry.pose import tangent_basis
 from ssac.rules import VerdictRules
@@ -186,12 +186,8 @@ def quantum_s(camera: Observation) -> float:
 
 
 def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
-    """Widen the offset's deviation by the shift that the rounding of times may cause.
-
-    Times truncated to a step of q are off by q / 2 on average, rounded ones are not: +-1.96
-    deviations of a uniform distribution of width q cover both.
-    """
-    return widened(estimate, sum(step_s**2 for step_s in quanta_s) / 12.0)
+    """Widen the offset's deviation by the shift that the rounding of times may cause."""
+    return widened(estimate, rounding_variance_s2(*quanta_s))
 
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:

@@ -10,6 +10,7 @@ from ssac.arrays import Array, Mask
 from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
+from ssac.events import rounding_variance_s2
 from ssac.geometry.pose import centre_covariance
 from ssac.network import state as layout
 from ssac.network.adjustment import Network, border_offsets, fit_of
@@ -262,16 +263,13 @@ _MISFIT = (
 
 
 def rounded_by(answer: NetworkAnswer, quanta_s: Sequence[float]) -> NetworkAnswer:
-    """Widen each offset's deviation by the shift that rounding of both cameras' times may cause.
-
-    Times of each camera are rounded to `quanta_s`: see `ssac.methods.verdict.less_sure`.
-    """
+    """Widen each offset's deviation by the shift that both cameras' steps `quanta_s` may cause."""
     cameras = list(answer.cameras)
     for built in answer.built:
         first, *others = built.members  # the offset of the first to itself is exact
         for k in others:
-            hidden_s = np.hypot(quanta_s[k], quanta_s[first]) / np.sqrt(12.0)
-            t_d_std_s = float(np.hypot(cameras[k].t_d_std_s, hidden_s))
+            hidden_s2 = rounding_variance_s2(quanta_s[first], quanta_s[k])
+            t_d_std_s = float(np.sqrt(cameras[k].t_d_std_s ** 2 + hidden_s2))
             cameras[k] = replace(cameras[k], t_d_std_s=t_d_std_s)
     return replace(answer, cameras=cameras)
 
