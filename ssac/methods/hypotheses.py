@@ -25,7 +25,7 @@ from ssac.search.offset_search import (
     uniform,
     valleys,
 )
-from ssac.search.two_views import TwoViews, shutters_of
+from ssac.search.two_views import TwoViews, as_found
 from ssac.search.view import size_px
 from ssac.track.motion import ObjectMotion
 
@@ -195,9 +195,7 @@ class Choice:
 
     def _weighed(self, estimate: Estimate) -> list[Solution]:
         """Rate an estimate by sharp positions' trimmed mean distance; empty if they are too few."""
-        views, rules = self.views, self.views.rules
-        shutters = shutters_of(views)
-        views = shutters.views(views, shutters.readouts_s(estimate)).under(estimate.clock)
+        views, rules = as_found(self.views, estimate), self.views.rules
         pairs = views.pairs_at(estimate.t_d_s)
         track1, track2 = views.sharp_at(pairs.times_s, estimate.t_d_s)
         good = track1.valid & track2.valid

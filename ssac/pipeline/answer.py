@@ -16,7 +16,7 @@ from ssac.methods.method import Method
 from ssac.screen import columns, folded
 from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
-from ssac.search.two_views import TwoViews, shutters_of, views_of
+from ssac.search.two_views import TwoViews, as_found, views_of
 from ssac.track.clean import Clean
 from ssac.track.observation import Observation
 
@@ -63,9 +63,7 @@ class Answer:
     @cached_property
     def paired(self) -> TwoViews:
         """Both views with the readouts, skew and strays found, paired at any offset."""
-        shutters = shutters_of(self.views)
-        seen = shutters.views(self.views, shutters.readouts_s(self.estimate))
-        return seen.under(self.estimate.clock)
+        return as_found(self.views, self.estimate)
 
     @property
     def guess(self) -> Guess | None:

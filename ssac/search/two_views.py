@@ -246,3 +246,9 @@ def shutters_of(views: TwoViews) -> Shutters:
             found.append((k, expected_s, cameras[k].readout_std_s, longest_s))
     numbers = np.array(found, np.float64).reshape(-1, 4).T
     return Shutters(tuple(k for k, *_ in found), *numbers[1:])
+
+
+def as_found(views: TwoViews, estimate: Estimate) -> TwoViews:
+    """Return both views with the readouts, skew and strays of an estimate, paired at any offset."""
+    shutters = shutters_of(views)
+    return shutters.views(views, shutters.readouts_s(estimate)).under(estimate.clock)
