@@ -79,7 +79,8 @@ def bag_of(path: Path) -> tuple[Path, str] | None:
 
 def file_of(path: Path) -> Path:
     """Return the bag that a path leads into, or the path itself if there is none."""
-    return (bag_of(path) or (path, ""))[0]
+    found = bag_of(path)
+    return path if found is None else found[0]
 
 
 def topic_of(path: Path) -> Topic:

@@ -263,8 +263,10 @@ class Chain:
 
     def _hinted(self, pair: _Pair, answer: Answer) -> Answer:
         """Add the usual mistake in a rig to the answer's reason, where mending it explains all."""
+        if answer.estimate.has_offset and not answer.misfit:
+            return answer
         mistake = retries.usual_mistake(pair.rig, answer.cleans, answer.estimate)
-        if mistake is None or (answer.estimate.has_offset and not answer.misfit):
+        if mistake is None:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans))
@@ -370,8 +372,13 @@ class Chain:
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         """Make an answer of the refusal of a stage before the method."""
-        said = pair.method.name, refusal.status, refusal.reason, refusal.t_d_s
-        estimate = Estimate(*said, alternatives_s=np.array(refusal.alternatives_s))
+        estimate = Estimate(
+            pair.method.name,
+            refusal.status,
+            refusal.reason,
+            refusal.t_d_s,
+            alternatives_s=np.array(refusal.alternatives_s),
+        )
         if pair.start is not None:
             found = pair.start.found
             estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
