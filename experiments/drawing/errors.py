@@ -368,18 +368,24 @@ def _default(rows: Any, look: FigureConfig) -> list[Named]:
     """Draw and name the default of the x axis; angles, all of which are filmed, have none."""
     if look.x == "sim.angle_deg":
         return []
-    root, *path = look.x.split(".")
-    roots: dict[str, Any] = dict(zip(("sim", "ssac"), configs_of({}), strict=True))
-    # Of these two the default is None, which leaves it to the drone and to the object.
-    by_object = {"sim.drone_size_m": quadrotor().size_m, "ssac.n_min": N_MIN}
-    default = look.scale * float(by_object.get(look.x) or reduce(getattr, path, roots[root]))
-    units = re.findall(r"\[(\w+)\]", look.label)
+    default, units = look.scale * _default_of(look.x), re.findall(r"\[(\w+)\]", look.label)
     said = " ".join(["default:", f"{default:g}", *units[:1]])
     if look.log and default <= 0.0:
         return [(f"{said}, not on this axis", {"ls": "none"})]
     for axes in rows.flat:
         axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
     return [(said, {"color": "0.4", "ls": "--"})]
+
+
+def _default_of(name: str) -> float:
+    """Give the default of a parameter by its dotted name, in its own unit."""
+    if name == "sim.drone_size_m":  # whose default, None, leaves it to the drone
+        return quadrotor().size_m
+    if name == "ssac.n_min":  # whose default, None, may leave it to a thin object
+        return N_MIN
+    root, *path = name.split(".")
+    roots: dict[str, Any] = dict(zip(("sim", "ssac"), configs_of({}), strict=True))
+    return float(reduce(getattr, path, roots[root]))
 
 
 def _values(runs: pd.DataFrame, name: str) -> list[Any]:
