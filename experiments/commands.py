@@ -97,7 +97,7 @@ def sweep_command(
     grid = _checked(load_config(config))
     out = out or Path("results") / f"{grid.name}.csv"
     _check_table(out)
-    study = _sweep(grid, out, f"ssac sweep {config}")
+    study = sweep_study(grid, out.name, f"ssac sweep {config}")
     run_studies([study], out.parent, Cache(cache), Workers(workers, scheduler), shard)
 
 
@@ -115,8 +115,7 @@ def merge_command(
     def study_of(config: Mapping[str, Any]) -> Study:
         if "name" in config:  # a grid of the user's
             grid = grid_from_content(config["name"], config["grid"])
-            points = config.get("points", f"{out.stem}_cells")
-            return sweep_study(grid, out.name, points, "ssac sweep")
+            return sweep_study(grid, out.name, "ssac sweep", config.get("points", ""))
         studies = all_studies()
         if config.get("study") not in studies:
             raise SsacError(
@@ -217,11 +216,7 @@ def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
 
 def _own(path: Path) -> Study:
     grid = _checked(load_config(path))
-    return sweep_study(grid, f"{grid.name}_runs.csv", grid.name, f"ssac ablate {path}")
-
-
-def _sweep(grid: GridConfig, out: Path, command: str) -> Study:
-    return sweep_study(grid, out.name, f"{out.stem}_cells", command)
+    return sweep_study(grid, f"{grid.name}_runs.csv", f"ssac ablate {path}", grid.name)
 
 
 def _check_table(out: Path) -> None:

@@ -95,12 +95,16 @@ def ablation_study(grid: GridConfig, command: str = "") -> Study:
 LEVEL = 0.95  # of the interval of a mean
 
 
-def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> Study:
-    """Make the study of a grid; `points` is the stem of the table of points, and of the figure."""
+def sweep_study(grid: GridConfig, runs_file: str, command: str, points: str = "") -> Study:
+    """Make the study of a grid.
+
+    `points` is the stem of the table of points and of the figure; empty: they are called like the
+    runs, the table with `_cells` behind.
+    """
     runs, config = runs_file.removesuffix(".csv"), {"grid": dict(grid.content), "name": grid.name}
-    if points == grid.name:
+    if points:
         config["points"] = points
-    figure = f"{config.get('points', runs)}.png"
+    figure, points = f"{points or runs}.png", points or f"{runs}_cells"
     return Study(
         grid.name, grid.title, grid.cells, SCORED,
         Runs(runs_file, (*grid.varied, "flight", "method")),
