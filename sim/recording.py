@@ -108,6 +108,13 @@ class SimConfig:
                 f"{1.0 / rate_hz:g} s, got {gap_s:g}: no event would be left"
             )
 
+    @property
+    def duration_s(self) -> float:
+        """Duration of the flight [s]."""
+        if self.trajectory_file is not None:
+            return trajectory_from_csv(self.trajectory_file).duration_s
+        return self.spline.duration_s
+
     def scene(self, seed: int) -> Scene:
         """Build what is filmed with a seed."""
         rig = two_view_rig_of(self)

@@ -15,7 +15,6 @@ from experiments.lab.cell import UNUSABLE, Measure, RunRow
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.lab.score import Truth, kept, scored
-from sim.scene.trajectory import trajectory_from_csv
 from ssac.arrays import Array, IntArray
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
@@ -142,9 +141,7 @@ def _is_alike(one: Any, other: Any) -> bool:
 
 def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
     sim = cell.sim
-    path = None if sim.trajectory_file is None else trajectory_from_csv(sim.trajectory_file)
-    duration_s = sim.spline.duration_s if path is None else path.duration_s
-    truth = Truth(cell.t_d_s, *known_pose(rig), sim.skew_ppm, 0.5 * duration_s)
+    truth = Truth(cell.t_d_s, *known_pose(rig), sim.skew_ppm, 0.5 * sim.duration_s)
     has_pose = not METHODS[cell.method].needs_extrinsics
     return Row(**kept(Row, scored(estimate, truth, has_pose)))
 
