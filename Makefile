@@ -10,6 +10,9 @@ unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME MYPYPATH PIP_TARGET PIP_PREFIX PIP_RO
 export PIP_USER := 0
 export PYTHONNOUSERSITE := 1
 
+# Matplotlib keeps one list of fonts per user, which an environment that was removed may have spoiled.
+export MPLCONFIGDIR := $(CURDIR)/.venv/matplotlib
+
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
