@@ -165,8 +165,10 @@ def _free(network: Network, with_intrinsics: bool) -> IntArray:
             places += [layout.FOCAL.start + i for i in range(2) if prior.focal[i] > 0.0]
             places += [layout.CENTRE.start + i for i in range(2) if prior.centre_px[i] > 0.0]
         if k:
-            places += [layout.DELAY, *range(layout.ROTATION.start, layout.TRANSLATION.stop)]
+            places += [layout.DELAY]
             places += [layout.RATE] if prior.rate > 0.0 else []
+            pose = range(layout.ROTATION.start, layout.TRANSLATION.stop)
+            places += [] if prior.pose_is_known else pose
         free += [int(border_offsets(network)[k]) + place for place in places]
     return np.array(sorted(free), dtype=np.int64)
 

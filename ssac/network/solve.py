@@ -195,7 +195,9 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     return Link(clock, estimate.has_offset, cost, *pose, factor)
 
 
-def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
+def _priors_of(
+    camera: Camera, has_frames: bool, skew_prior_ppm: float, pose_is_known: bool
+) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
     std = np.array(camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(camera.K)[:2]
@@ -204,6 +206,7 @@ def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Prior
         readout_s=READOUT_STD_S if has_frames and camera.readout_s is None else 0.0,
         focal=(float(focal[0]), float(focal[1])),
         centre_px=(float(std[2]), float(std[3])),
+        pose_is_known=pose_is_known,
     )
 
 
@@ -213,14 +216,18 @@ def solve_network(
     skew_prior_ppm: float,
     distance: float,
     rules: Rules,
+    pose_is_known: bool = False,
 ) -> NetworkAnswer:
     """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
     Links of some pairs (a, b), a < b, may be wrong or missing. `skew_prior_ppm` is the deviation of
-    the clocks' skews, `distance` that between the first two cameras of each group.
+    the clocks' skews, `distance` that between the first two cameras of each group. A pose that is
+    known is held where the links place its camera.
     """
     listed, built_all = list(cameras), list[Built]()
-    priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]
+    priors = [
+        _priors_of(seen.camera, seen.has_frames, skew_prior_ppm, pose_is_known) for seen in listed
+    ]
     answers = [
         CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
     ]

@@ -236,3 +236,4 @@ class Priors:
     centre_px: tuple[float, float] = (0.0, 0.0)
     roughness: float = 200.0 * PPM  # change of the rate from one piece of its clock to the next
     expected_rate: float = 0.0
+    pose_is_known: bool = False  # it is held where the pairs place it

@@ -228,7 +228,8 @@ def solve_pairs(
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)
     prior_ppm = chain.config.resolved(has_frames).prior_ppm
-    return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules)
+    posed = all(answer.method.needs_extrinsics for answer in pairs.values())
+    return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules, posed)
 
 
 def grounded(
