@@ -31,7 +31,7 @@ class Clock:
         """Whether the clocks differ by nothing but an offset."""
         return not self.skew_ppm and not len(self.knots_s)
 
-    def added_s(self, times_s: Array) -> Array:
+    def added_s(self, times_s: Array | float) -> Array:
         """Return the difference (...,) [s] beside t_d; strays are constant beyond the knots."""
         added_s = PPM * self.skew_ppm * (times_s - self.t_ref_s)
         if len(self.knots_s):

@@ -270,7 +270,8 @@ def write_two(
     if rig is not None:
         T = _transform(estimate)
         T[:3, 3] *= scale
-        step = Step(1, T, estimate.t_d_s, in_metres)
+        stray_s = float(estimate.clock.added_s(estimate.clock.t_ref_s))
+        step = Step(1, T, estimate.t_d_s + stray_s, in_metres)
         _save_rig(rig, answer.cameras, [None, step], log)
 
 

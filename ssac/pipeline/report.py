@@ -174,7 +174,11 @@ def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
     ]
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
-        rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
+        then_ms = 1e3 * float(estimate.clock.added_s(estimate.t_ref_s))
+        rows += [
+            ("", f"for a straight line, from which it strays by up to {most_ms:.3f} ms, and by"),
+            ("", f"{then_ms:+.3f} ms at that time: {len(estimate.knots_s)} knots"),
+        ]
     if answer.of_skew:
         rows.append(("", answer.of_skew))
     return rows
@@ -186,7 +190,8 @@ def how_it_runs(estimate: Estimate) -> str:
     if not (estimate.has_offset and np.isfinite(ppm) and std_ppm != 0.0):
         return ""
     if abs(ppm) <= std_ppm:
-        return "the clocks run alike, as far as this tells"
+        mostly = " on average" if len(estimate.knots_s) else ""
+        return f"the clocks run alike{mostly}, as far as this tells"
     return f"camera 2's clock runs {'fast' if ppm >= 0.0 else 'slow'}"
 
 

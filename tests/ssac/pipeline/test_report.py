@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import cv2
 import numpy as np
 import pytest
+import yaml
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -25,6 +26,8 @@ from ssac.geometry.pose import moved_pose
 from ssac.pipeline import pair_charts, plots
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.html_report import report_page, seen_by
+from ssac.pipeline.many import write_two
+from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_rows, report_text
 from ssac.pipeline.retries import TINY
@@ -87,7 +90,7 @@ def test_an_offset_is_explained_where_it_holds_alone(answer):
     assert report["unobservable"] == direction.tolist()
 
 
-def test_clocks_are_told(answer):
+def test_clocks_are_told(answer, tmp_path):
     plain = report_json(answer)
     names = ("t_ref_s", "skew_ppm", "skew_std_ppm", "clock_covariance", "clock_jump")
     assert [plain[name] for name in names] == [None] * 5  # the paper's method has no skew
@@ -97,7 +100,13 @@ def test_clocks_are_told(answer):
     knots = {"knots_s": np.array([0.0, 5.0, 10.0]), "strays_std_s": np.full(3, 1e-4)}
     text, report = told(answer, strays_s=strays_s, **clock, **knots)
     assert "clock skew     -400.0 ppm, 1 sigma 2.5 ppm\n" in text
-    assert "and strays by up to 2.000 ms, 3 knots\n" in text
+    assert "for a straight line, from which it strays by up to 2.000 ms, and by\n" in text
+    assert "-2.000 ms at that time: 3 knots\n" in text
+    rig = tmp_path / "rig.yaml"
+    wandering = changed(answer, strays_s=strays_s, **clock, **knots)
+    write_two(wandering, NOTHING, None, rig, str)
+    shift_s = yaml.safe_load(rig.read_text())["cam1"]["timeshift_cn_cnm1"]
+    assert shift_s == pytest.approx(wandering.estimate.t_d_s - 0.002)  # what the clock shows then
     assert "far beyond the 50 ppm expected of such clocks: see --skew-prior\n" in text
     assert {name: report[name] for name in clock} == clock
     assert report["clock_knots"][1] == {"t_s": 5.0, "stray_s": -0.002, "std_s": 1e-4}
