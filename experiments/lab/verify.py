@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.lab.cell import CRASHED, PlainCell
+from experiments.lab.cell import CRASHED, UNUSABLE, PlainCell
 from experiments.lab.provenance import plain, processor, versions
 from experiments.lab.results import (
     DIGITS,
@@ -31,12 +31,15 @@ from experiments.lab.results import (
 from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
 from sim.errors import SimError
 from ssac.errors import SsacError
+from ssac.estimate import Status
 
 _SHOWN = 5  # number of faults listed per finding
 _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
 _ROUNDING_MS = 1e-2  # to six digits: 5e-3 for an estimate above 1000 ms, less for its error
 _ROUNDING_PPM = 1e-3  # likewise, above 100 ppm
+_NO_REASON = ("ok", "spared")  # statuses of runs that lack nothing, or were not needed
+_STATUSES = {*map(str, Status), *_NO_REASON, CRASHED, UNUSABLE, "skipped"}
 _NOT_OF_CONFIG = ("study", SHARD, "options", "figure")
 _OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns on which a flight's recording does not depend
 
@@ -91,6 +94,9 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
     if study.runs is not None:
         what = f"{study.runs.file} has every run of {study.name} once, as it is written"
         yield found(what, partial(_runs_faults, study, results))
+        runs = study.runs.file.removesuffix(".csv")
+        what = f"{study.runs.file}: known statuses, reasons, estimates, no deviation below 0"
+        yield found(what, partial(_senseless_rows, runs, results))
     for made in study.makes:
         if made.follows:
             what = f"{made.file} is as it follows from the results"
@@ -199,6 +205,21 @@ def follows(
 def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
     """Make a check that a column has only the given values."""
     return _each(name, lambda t: ~t[column].isin(values), lambda row: f"{column} is {row[column]}")
+
+
+def _senseless_rows(name: str, results: Results) -> Iterator[str]:
+    """Yield what no run may be, whatever its study measured, as far as the columns are there."""
+    runs = results.table(name)
+    wrong = {f"{one} is negative": runs[one] < 0.0 for one in runs if "_std" in str(one)}
+    if "status" in runs:
+        wrong["its status is unknown"] = ~runs["status"].isin(_STATUSES)
+        if "reason" in runs:
+            wrong["no reason"] = runs["reason"].isna() & ~runs["status"].isin(_NO_REASON)
+        if "t_d_estimate_ms" in runs:
+            has_none = runs["t_d_estimate_ms"].isna()
+            wrong["ok without an estimate"] = has_none & (runs["status"] == "ok")
+    for what, is_so in wrong.items():
+        yield from (f"{name}.csv, row {row}: {what}" for row in runs.index[is_so])
 
 
 def scored_checks(name: str) -> tuple[Check, ...]:

@@ -52,7 +52,7 @@ def sums_made_anew(folder):
 def test_complete_results_have_no_fault(complete):
     findings = all_of(complete)
     assert [line for finding in findings if finding.faults for line in finding.lines()] == []
-    assert len(findings) == 3 + 2 + 1 + 3 + 1
+    assert len(findings) == 3 + 2 + 2 + 3 + 1
 
 
 def test_every_damage_to_any_file_is_found_by_its_checksum(results):

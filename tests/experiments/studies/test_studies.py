@@ -16,7 +16,7 @@ from experiments.lab.grid import Cell, config_names, flight_seed, named_config
 from experiments.lab.provenance import write_provenance
 from experiments.lab.results import Results, csv_text
 from experiments.lab.study import How
-from experiments.lab.verify import cells_of
+from experiments.lab.verify import cells_of, study_findings
 from experiments.machine.parts import measured_cells
 from experiments.paper.esim import table_cells
 from experiments.studies import all_studies, figures, physical
@@ -78,7 +78,6 @@ OF_CORRELATION = RUN.replace("ssac", "zncc_e")
     [
         ("tables", "runs", RUN, {}, None),
         ("tables", "runs", RUN, {"status": CRASHED}, "no run crashed"),
-        ("tables", "runs", RUN, {"status": "no_match"}, "every failed run has a reason"),
         ("tables", "runs", RUN, {"t_d_error_ms": -1.0}, "errors are possible ones"),
         ("tables", "runs", RUN, {"t_d_error_ms": np.nan}, "errors are possible ones"),
         ("tables", "runs", RUN, {"t_d_estimate_ms": np.nan}, "errors are possible ones"),
@@ -116,6 +115,29 @@ def test_an_impossible_number_is_found(tmp_path, name, table, where, changed, fa
     (tmp_path / f"{table}.csv").write_text(csv_text(rows))
     found = [what for what, check in study.checks if list(check(Results(tmp_path)))]
     assert (fault in found) if fault else not found
+
+
+@pytest.mark.parametrize("name", [name for name in WITH_CELLS if STUDIES[name].is_committed])
+def test_a_run_that_makes_no_sense_is_found_in_every_study(tmp_path: Path, name: str) -> None:
+    study = replace(STUDIES[name], makes=(), checks=())
+    runs = Results(RESULTS).table(study.runs.file.removesuffix(".csv"))
+    (place, *_) = runs.index[runs["status"] == "ok"]
+    damages = {"its status is unknown": {"status": "wrong"}}
+    if "reason" in runs:
+        damages["no reason"] = {"status": CRASHED}
+    if "t_d_estimate_ms" in runs:
+        damages["ok without an estimate"] = {"t_d_estimate_ms": np.nan}
+    if "t_d_std_ms" in runs:
+        damages["t_d_std_ms is negative"] = {"t_d_std_ms": -1.0}
+    for fault, changed in ({None: {}} | damages).items():
+        damaged = runs.copy()
+        for column, value in changed.items():
+            damaged.loc[place, column] = value
+        (tmp_path / study.runs.file).write_text(csv_text(damaged))
+        findings = list(study_findings(study, Results(tmp_path)))
+        (found,) = (one.faults for one in findings if "known statuses" in one.what)
+        place_of_fault = f"row {place}: {fault}"
+        assert any(place_of_fault in one for one in found) if fault else not found
 
 
 def test_flights_of_studies_are_their_own() -> None:
