@@ -200,8 +200,20 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
         raise SsacError("give either search_around_truth_s or ssac.interval_s, not both")
     if grid.figure is not None and grid.figure.x not in grid.varied:
         raise SsacError(f"figure: x = {grid.figure.x!r} is not a parameter that the grid varies")
-    grid.cells()  # which checks every value
+    cells = grid.cells()  # which checks every value
+    if flights > 1 and not all(_is_drawn(cell.sim) for cell in cells):
+        raise SsacError(
+            f"flights must be 1 where sim.trajectory_file is given and the sensor has no noise, got"
+            f" {flights}: all flights would be the same, and their runs count as independent ones"
+        )
     return grid
+
+
+def _is_drawn(sim: SimConfig) -> bool:
+    """Whether flights of other seeds differ: by a random trajectory, or by a sensor's noise."""
+    pixels = sim.sensor
+    has_noise = pixels.threshold_mismatch > 0.0 or not pixels.is_ideal_in_time
+    return sim.trajectory_file is None or has_noise or not sim.effects.is_none
 
 
 def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:

@@ -159,6 +159,7 @@ def test_parameters_reach_the_field_that_they_name():
             {"together": {"c": {"sim": {"focal_px": [1, 2], "resolution": [[3, 4]]}}}},
             "together.c: expected lists of one length, but sim.focal_px has 2, sim.resolution",
         ),
+        ({"fixed": {"sim": {"trajectory_file": "a.csv"}}}, "flights must be 1 where sim.traject"),
         ({"figure": {"x": "ssac.n_min", "label": ""}}, "'ssac.n_min' is not a parameter that the"),
         ({"figure": {"y": "ssac.n_min"}}, "figure: expected a table with x, label, scale, log"),
     ],
@@ -166,3 +167,14 @@ def test_parameters_reach_the_field_that_they_name():
 def test_what_makes_no_sense_is_an_error_that_says_so(change, message):
     with pytest.raises(SsacError, match=message):
         grid_from_content("small", SMALL | change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"flights": 1}, *({"fixed": {"sim": {"trajectory_file": "a.csv"} | noise}} for noise in (
+        {"sensor": {"threshold_mismatch": 0.03}}, {"sensor": {"leak_hz": 0.1}},
+        {"effects": {"jitter_s": 1e-5}}))],
+)  # fmt: skip
+def test_flights_along_a_given_path_may_differ_by_noise_alone(change):
+    fixed = {"fixed": {"sim": {"trajectory_file": "a.csv"}}}
+    assert grid_from_content("small", SMALL | fixed | change).flights == change.get("flights", 2)
