@@ -321,15 +321,21 @@ def merge(
     """Join the shards of a study to the same bytes as a run in one piece, and make its other files.
 
     Each shard has its provenance beside it; `study_of` returns the study of its configuration.
-    SsacError if the shards are of different grids, overlap, or do not cover the grid.
+    SsacError if the shards are of different grids or code, overlap, or do not cover the grid.
     """
     provenances = [_read_provenance(path) for path in shards]
     wholes = [{k: v for k, v in one["config"].items() if k != SHARD} for one in provenances]
     lines: dict[int, tuple[str, Path]] = {}
     headers = []
-    for path, whole in zip(shards, wholes, strict=True):
+    for path, whole, one in zip(shards, wholes, provenances, strict=True):
         if whole != wholes[0]:
             raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
+        commit, first = one.get("commit"), provenances[0].get("commit")
+        if commit != first:
+            raise SsacError(
+                f"{path} is of the code {commit}, and {shards[0]} of {first}: run these shards with"
+                " the same code"
+            )
         header, rows = _numbered_lines(path)
         headers.append(header)
         if header != headers[0]:

@@ -138,15 +138,16 @@ def test_merged_shards_are_the_same_bytes(tmp_path):
     refused("cell 0 is in", parts[0], parts[0])
     refused(r"are named squares_runs\.csv", *parts, out=tmp_path / "x.csv")
     content = json.loads(parts[1].with_suffix(".provenance.json").read_text())
-    text = parts[1].read_text()
-    for new, config, said in (
-        (text, {"powers": [3]}, "is of another grid"),
+    text, config = parts[1].read_text(), content["config"]
+    for new, change, said in (
+        (text, {"config": config | {"powers": [3]}}, "is of another grid"),
+        (text, {"commit": "0123456789ab"}, "is of the code 0123456789ab, and"),
         (text.replace("square", "worth", 1), {}, "has other columns"),
         ("", {}, "is empty: run this shard again"),
         (f"{text}-1,x\n", {}, "a row begins with '-1', no cell's number"),
     ):
         parts[1].write_text(new)
-        changed = content | {"config": content["config"] | config}
+        changed = content | change
         parts[1].with_suffix(".provenance.json").write_text(json.dumps(changed))
         refused(said, *parts)
     parts[1].with_suffix(".provenance.json").unlink()
