@@ -12,7 +12,16 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import CRASHED
 from experiments.lab.results import Results
 from experiments.lab.schedule import Outcome, Workers
-from experiments.lab.study import WHOLE, How, Options, Study, check_reads, parse_shard, save_study
+from experiments.lab.study import (
+    WHOLE,
+    How,
+    Options,
+    Study,
+    check_own,
+    check_reads,
+    parse_shard,
+    save_study,
+)
 from ssac.cli.exits import BUG
 from ssac.cli.options import argument, named
 from ssac.errors import PluginError, SsacError
@@ -121,6 +130,8 @@ def run_studies(
     twice = [file for file in files if files.count(file) > 1]
     if twice:
         raise SsacError(f"{twice[0]} would be written twice: run one by one, or rename a TOML file")
+    for study in studies:
+        check_own(study, out)
     made = set(files)
     for study in studies if part == WHOLE else ():
         check_reads(study, out, made)

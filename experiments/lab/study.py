@@ -24,9 +24,11 @@ from experiments.lab.results import (
     DIGITS,
     MERGED,
     PROVENANCE,
+    SUMS_FILE,
     Results,
     csv_text,
     png_bytes,
+    read_checksums,
     read_table,
     record_checksums,
     save_text,
@@ -201,6 +203,18 @@ def check_reads(study: Study, out: Path, made_before: Collection[str] = ()) -> N
         )
 
 
+def check_own(study: Study, out: Path) -> None:
+    """Raise SsacError, before hours of work, when a user's own grid would replace our results."""
+    if study.is_committed or not (out / SUMS_FILE).is_file():
+        return
+    ours = set(study.files) & set(read_checksums(out))
+    if ours:
+        raise SsacError(
+            f"{out / min(ours)}: is a result of the project, and would be lost: name another file"
+            " or folder by --out, or rename the TOML file"
+        )
+
+
 def save_study(
     study: Study,
     out: Path,
@@ -355,6 +369,7 @@ def merge(
             f"{len(missing)} of {n_cells} cells are in none of the shards, the first of them "
             f"{missing[0]}: give the CSVs of all shards"
         )
+    check_own(study, out.parent)
     text = [headers[0], *(lines[number][0] for number in range(n_cells))]
     if not study.runs.numbered:
         text = [line.partition(",")[2] for line in text]

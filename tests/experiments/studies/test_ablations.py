@@ -1,11 +1,14 @@
 """Ablations and users' own grids: tables and figures of their runs, and tangency's variants."""
 
+from shutil import copy
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import t as student
 
 from experiments.lab import study as lab
+from experiments.lab.results import record_checksums
 from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ablation_table, points_figure, points_table
@@ -106,6 +109,24 @@ def test_two_files_of_one_name_are_refused(tmp_path) -> None:
         config.write_text(TOML)
     with pytest.raises(SsacError, match=r"my_runs\.csv would be written twice"):
         run("ablate", *configs, "--out", tmp_path / "out")
+
+
+def test_ones_own_grid_does_not_replace_a_result_of_the_project(tmp_path) -> None:
+    out = tmp_path / "results"
+    out.mkdir()
+    for name in ("esim_10.csv", "ablation_window.csv"):
+        copy(RESULTS / name, out)
+    record_checksums(out, out.iterdir())
+    before = sorted((path, path.read_bytes()) for path in out.iterdir())
+    for command, name, where in (
+        ("sweep", "esim_10", out / "esim_10.csv"),
+        ("sweep", "a", out / "ablation_window.csv"),
+        ("ablate", "ablation_window", out),
+    ):
+        (tmp_path / f"{name}.toml").write_text(TOML)
+        with pytest.raises(SsacError, match=r"\.csv: is a result of the project"):
+            run(command, tmp_path / f"{name}.toml", "--out", where, "--cache", tmp_path)
+    assert sorted((path, path.read_bytes()) for path in out.iterdir()) == before
 
 
 def test_the_shards_of_an_ablation_are_merged_to_its_files(tmp_path) -> None:
