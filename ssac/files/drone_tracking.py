@@ -58,8 +58,13 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
         rows = _LINE.findall(listing.read_text(encoding="utf-8"))
     if not rows:
         raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
-    number = int("".join(re.findall(r"\d+$", folder.resolve().name)) or 0)
-    cameras = [_camera(folder, f"cam{k}", model, number) for k, model in rows]
+    number = re.search(r"\d+$", folder.resolve().name)
+    if number is None:
+        raise SsacError(
+            f"{folder}: expected a name that ends in the data set's number, as dataset3, by which "
+            "its calibrations are chosen: rename the folder"
+        )
+    cameras = [_camera(folder, f"cam{k}", model, int(number[0])) for k, model in rows]
     out.mkdir(parents=True, exist_ok=True)
     for camera in cameras:
         save_track(out / f"{camera.name}.csv", camera.track)

@@ -75,6 +75,14 @@ def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
         assert set(np.rint(camera.track.times_s * fps).astype(int) % 4) == {1}
 
 
+def test_a_folder_whose_name_has_no_number_gets_no_calibration(data, tmp_path):
+    shutil.copytree(data, tmp_path / "data")
+    folder = (tmp_path / "data" / "dataset2").rename(tmp_path / "data" / "mine")
+    with pytest.raises(SsacError, match="mine: expected a name that ends in the data set's number"):
+        import_data_set(folder, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def run_pairs(data, work, numbers):
     """Return the tables of all pairs of some data sets."""
     return tracks.pair_tables(tracks.data_sets(data, work, lambda line: None, numbers))
