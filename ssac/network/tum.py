@@ -1,10 +1,10 @@
 """Files of paths in space: TUM, `t x y z qx qy qz qw`, and comma-separated values.
 
 The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
-deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too, and for times, in
+deviations `sigma_x_m,sigma_y_m,sigma_z_m`; each is taken without its `_m` too, and for times, in
 seconds, `t`, `time`, `time_s` and `timestamp`. A TUM file has no place for deviations; where the
 attitude is unknown it says `0 0 0 1` in each row. Where the scale is unknown, the unit is not a
-metre but the distance between cameras 1 and 2.
+metre but the distance between cameras 1 and 2, and names are written without `_m`.
 """
 
 import pathlib
@@ -24,7 +24,7 @@ CSV_SUFFIX = ".csv"
 
 _OTHER_NAMES = {
     **dict.fromkeys(("t", "time", "time_s", "timestamp"), PATH_COLUMNS[0]),
-    **dict(zip("xyz", PATH_COLUMNS[1:], strict=True)),
+    **{name.removesuffix("_m"): name for name in (*PATH_COLUMNS[1:], *DEVIATION_COLUMNS)},
 }
 _GLOBE = ("lat", "lon", "lng")
 _WANTED = (*PATH_COLUMNS, *DEVIATION_COLUMNS, *ATTITUDE_COLUMNS)
@@ -89,8 +89,11 @@ def _stacked(columns: dict[str, Array], names: tuple[str, ...]) -> Array | None:
     return np.column_stack([columns[name] for name in names]) if there else None
 
 
-def write_path(file: pathlib.Path | str, path: Path) -> None:
-    """Write a path, as csv if the name ends in .csv, else as TUM; the file appears complete."""
+def write_path(file: pathlib.Path | str, path: Path, in_metres: bool = True) -> None:
+    """Write a path, as csv if the name ends in .csv, else as TUM; the file appears complete.
+
+    `in_metres` is False where the scale is unknown, and the columns of a csv name no unit.
+    """
     file = pathlib.Path(file)
     columns = [path.times_s, *path.positions_m.T]
     if file.suffix.lower() == CSV_SUFFIX:
@@ -98,6 +101,7 @@ def write_path(file: pathlib.Path | str, path: Path) -> None:
         if path.deviations_m is not None:
             names += DEVIATION_COLUMNS
             columns += [*path.deviations_m.T]
+        names = names if in_metres else [name.removesuffix("_m") for name in names]
         header, separator, form = ",".join(names), ",", ["%.7f"] + ["%.9g"] * (len(columns) - 1)
     else:
         none = np.tile(_NO_ATTITUDE, (len(path), 1))

@@ -330,10 +330,10 @@ def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -
     """Write and log the path of the first group, perhaps in metres; others to numbered files."""
     for k, found in enumerate(answer.paths):
         other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
-        write_path(other, found.path)
+        has_scale = in_metres and k == 0
+        write_path(other, found.path, has_scale)
         spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)
-        unit = _unit(in_metres and k == 0)
-        held = f"{len(found.path)} samples in {unit}, which hold from {spans}"
+        held = f"{len(found.path)} samples in {_unit(has_scale)}, which hold from {spans}"
         log(f"wrote {other}: {held}")
     if not answer.paths:
         log(f"not written: {file}, since no cameras see the object's path together")

@@ -21,13 +21,16 @@ from tests.ssac.network.flights import DURATION_S, RULES, make_flight
 
 
 @pytest.mark.parametrize("name", ["path.tum", "path.csv"])
+@pytest.mark.parametrize("in_metres", [True, False])
 @pytest.mark.parametrize("with_deviations", [True, False])
-def test_a_path_survives_writing(tmp_path, name, with_deviations):
+def test_a_path_survives_writing(tmp_path, name, with_deviations, in_metres):
     file, rng = tmp_path / name, np.random.default_rng(0)
     positions = np.cumsum(rng.normal(size=(50, 3)), axis=0) + 30.0
     deviations = rng.uniform(0.01, 0.1, (50, 3)) if with_deviations else None
     path = Path(1.7e9 + np.arange(50) * 0.2, positions, deviations)  # as of a receiver's Unix time
-    write_path(file, path)
+    write_path(file, path, in_metres)
+    if name.endswith("csv"):  # it claims metres only where they are
+        assert ("_m" in file.read_text()) == in_metres
     again = read_path(file)
     np.testing.assert_allclose(again.times_s, path.times_s, rtol=0.0, atol=3e-7)  # 7 digits, 1970
     np.testing.assert_allclose(again.positions_m, path.positions_m, rtol=1e-8)  # 9 digits
@@ -425,6 +428,8 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
     write_many(result, tmp_path / "path.csv", None, log.append)
     assert [f" {metres}," in line for line in log] == [True, False]
     assert f" {unknown}," in log[1]
+    heads = [(tmp_path / name).read_text()[:10] for name in ("path.csv", "path-2.csv")]
+    assert heads == ["t_s,x_m,y_", "t_s,x,y,z,"]
 
 
 def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
