@@ -100,7 +100,9 @@ class Result:
     def __repr__(self) -> str:
         one, offset = self.estimate, ""
         if one.has_offset:
-            offset = f", t_d {1e3 * one.t_d_s:.3f} ms, 1 sigma {1e3 * one.t_d_std_s:.3f} ms"
+            offset = f", t_d {1e3 * one.t_d_s:.3f} ms"
+        if one.has_offset and np.isfinite(one.t_d_std_s):
+            offset += f", 1 sigma {1e3 * one.t_d_std_s:.3f} ms"
         return f"<ssac.Result {one.method} {one.status}{offset}>"
 
     def _repr_html_(self) -> str:

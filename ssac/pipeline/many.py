@@ -188,8 +188,12 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
         with watch.part(f"{a + 1}-{b + 1}") as say:
             pairs[a, b] = chain.answer(method, a, b)
             one = pairs[a, b].estimate
-            offset = f", t_d {one.t_d_s:.4f} s, 1 sigma {1e3 * one.t_d_std_s:.2f} ms"
-            say(f"{one.status}{offset if one.has_offset else ''}")
+            said = [str(one.status)]
+            if one.has_offset:
+                said.append(f"t_d {one.t_d_s:.4f} s")
+            if one.has_offset and np.isfinite(one.t_d_std_s):
+                said.append(f"1 sigma {1e3 * one.t_d_std_s:.2f} ms")
+            say(", ".join(said))
     distance_m, note = known.distance_m, ""
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, distance_m)

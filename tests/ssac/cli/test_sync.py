@@ -379,8 +379,9 @@ def test_pairs_without_a_skew_contradict_no_network_at_epoch_times(files, tmp_pa
         late.append(tmp_path / file.name)
         save_track(late[-1], replace(track, times_s=track.times_s - track.times_s[0] + 1.7e9))
     options = ("--method", "ssac", "--search", -1, 1)
-    _, found = answered(tmp_path, *late, "--rig", files[-1], *options)
+    result, found = answered(tmp_path, *late, "--rig", files[-1], *options)
     assert found["status"] == "ok"
+    assert len(re.findall(r"ok, t_d [-\d.]+ s$", result.stderr, re.MULTILINE)) == 3  # no deviation
     assert [pair["contradicted_by_s"] for pair in found["pairs"]] == [None] * 3
 
 

@@ -142,6 +142,9 @@ def test_a_result_has_what_the_estimate_has(result):
 def test_a_result_shows_itself_and_can_be_pickled_and_copied(result):
     assert repr(result).startswith("<ssac.Result tangency ok, t_d 49.")
     assert len(repr(result)) < 80
+    unsure = replace(result.estimate, t_d_std_s=np.nan)
+    plain = replace(result, answer=replace(result.answer, estimate=unsure))
+    assert repr(plain) == repr(result).partition(", 1 sigma")[0] + ">"
     refused = ssac.sync(*EVENTS, RIG, "joint", interval_s=(-1.0, -0.5))
     assert repr(refused) == f"<ssac.Result joint {refused.status}>"
     assert refused.status != "ok"
