@@ -4,6 +4,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from ssac.files.event_files import WRITTEN, check_written, load_events, write_sy
 from ssac.files.rigs import RIG_SUFFIXES
 from ssac.files.ros_bags import file_of
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
-from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets
+from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets, numbered_file
 from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
@@ -45,18 +46,22 @@ class Outputs:
     report: Path | None  # an HTML page
 
 
-def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
-    """Raise SsacError for outputs that cannot be written; `inputs[1]` is camera 2's recording."""
+def check_outputs(cameras: Sequence[Path], others: Sequence[Path], outputs: Outputs) -> None:
+    """Raise SsacError for outputs, numbered ones too, that cannot be written or are inputs."""
+    n = len(cameras)
     synced, plot, rig = outputs.write_synced, outputs.plot, outputs.write_rig
     if synced is not None:
-        check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
+        check_written(synced, (TRACK_SUFFIX,) if is_track_file(cameras[1]) else WRITTEN)
     if rig is not None:
         check_written(rig, RIG_SUFFIXES)
     if outputs.report is not None:
         check_written(outputs.report, PAGE_SUFFIXES)
     files = [outputs.json_file, synced, outputs.trajectory, rig, outputs.report]
+    if outputs.trajectory is not None:  # a path for each group of cameras
+        files += [numbered_file(outputs.trajectory, k) for k in range(2, n // 2 + 1)]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
-        files.append(plot)
+        pairs = [f"{a}-{b}" for a, b in combinations(range(1, n + 1), 2)]
+        files += [plot] if n == 2 else [numbered_file(plot, pair) for pair in pairs]
     elif plot is not None:
         if plot.exists() and not plot.is_dir():
             raise SsacError(
@@ -69,7 +74,7 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
                 f"ending in {', '.join(FIGURE_SUFFIXES)}"
             )
         check_folder(plot)
-    check_targets(files, [file_of(path) for path in inputs])
+    check_targets(files, [file_of(path) for path in (*cameras, *others)])
 
 
 def write_outputs(

@@ -218,7 +218,7 @@ def sync_command(
     config, log = config_of(OPTIONS, options), partial(typer.echo, err=True)
     outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})
     with warnings_as_lines(), compilation_told():
-        check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
+        check_outputs(files, [rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         _check_number(given, has_more)
         result = sync(

@@ -45,6 +45,11 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
         named.add(output.resolve())
 
 
+def numbered_file(path: Path, number: int | str) -> Path:
+    """Name one of several files that are written in place of one: out.png -> out-1-2.png."""
+    return path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder to write to; rename that file to `path` at the end.

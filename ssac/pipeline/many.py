@@ -14,7 +14,7 @@ from ssac.camera import Camera
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.files.rigs import Step, save_rig
-from ssac.files.whole_file import FIGURE_SUFFIXES, write_whole
+from ssac.files.whole_file import FIGURE_SUFFIXES, numbered_file, write_whole
 from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
 from ssac.network.graph import Link, Pair
@@ -154,10 +154,8 @@ class NetworkResult:
 
         drawn = list[Path]()
         for (a, b), answer in self.pairs.items():
-            pair, suffix = f"{a + 1}-{b + 1}", path.suffix
-            is_file = suffix.lower() in FIGURE_SUFFIXES
-            target = path.with_name(f"{path.stem}-{pair}{suffix}") if is_file else path / pair
-            drawn += save_figures(target, answer)
+            pair, is_file = f"{a + 1}-{b + 1}", path.suffix.lower() in FIGURE_SUFFIXES
+            drawn += save_figures(numbered_file(path, pair) if is_file else path / pair, answer)
         return drawn
 
     def report(self, path: Path | str, command: str = "") -> Path:
@@ -333,7 +331,7 @@ def _transform(of: CameraAnswer | Estimate) -> Array:
 def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
     """Write and log the path of the first group, perhaps in metres; others to numbered files."""
     for k, found in enumerate(answer.paths):
-        other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
+        other = file if k == 0 else numbered_file(file, k + 1)
         has_scale = in_metres and k == 0
         write_path(other, found.path, has_scale)
         spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)

@@ -61,6 +61,7 @@ def folder(recorded, tmp_path_factory) -> Path:
     for name, (text, _) in TEXTS.items():
         (tracks / f"{name}.csv").write_text(text.format(rows=rows))
     (tracks / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    (tracks / "wide-2.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
     (tracks / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
     for name, times_s in {
         "whole_us": np.rint(1e6 * track.times_s),
@@ -133,6 +134,9 @@ MANY = [
         for option in ("--json", "--trajectory")
         for name in ("third.csv", "no_attitude.csv")
     ),
+    ("third.csv --plot a.png --json a-1-3.png", "a-1-3.png: is named for two outputs"),
+    ("third.csv text.csv --trajectory a.csv --json a-2.csv", "a-2.csv: is named for two outputs"),
+    ("third.csv text.csv --trajectory wide.csv --rtk wide-2.csv", "wide-2.csv: is one of the inp"),
     ("third.csv --rig rig.yaml", "there is no cam2 for camera 3"),
     ("cam1.csv", "given for cameras 1 and 3"),
 ]
