@@ -221,6 +221,7 @@ def sync_command(
         check_outputs(files, [rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         _check_number(given, has_more)
+        _check_pose(given)
         result = sync(
             files,
             rig,
@@ -321,3 +322,17 @@ def _check_number(given: SimpleNamespace, has_more: bool) -> None:
         )
     if given.rtk is not None and given.trajectory is None and not has_more:
         raise SsacError("--rtk: is for the object's path: give --trajectory too, or leave it out")
+
+
+def _check_pose(given: SimpleNamespace) -> None:
+    """Raise SsacError for outputs that need a pose, of a method that finds none."""
+    from ssac.pipeline.registry import METHODS
+
+    if given.method not in METHODS or not METHODS[given.method].finds_offset_alone:
+        return
+    for name, file in {"--trajectory": given.trajectory, "--write-rig": given.write_rig}.items():
+        if file is not None:
+            raise SsacError(
+                f"{name}: needs a pose, and {given.method} finds the offset alone: leave it out, or"
+                f" use another method, such as {OF_TRACKS}"
+            )

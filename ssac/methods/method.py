@@ -70,6 +70,11 @@ class Method:
         found: Callable[..., Estimate] = _imported(self.runs)
         return found
 
+    @property
+    def finds_offset_alone(self) -> bool:
+        """Whether it finds no pose, as ours of signals; of other packages' nobody knows before."""
+        return bool(self.runs) and self.input is not Input.TRACKS
+
     def keeps(self, views: Any) -> bool:
         """Whether the method's answer for these views is the estimate that it starts from."""
         return bool(self.keeps_start and _imported(self.keeps_start)(views))

@@ -96,6 +96,7 @@ def test_every_method_answers_alike_wherever_the_interval_lies(name, chain):
         for by_s in (0.0, 0.3137)  # by no whole step of any search
     )
     assert (centred.status, moved.status) == (Status.OK, Status.OK)
+    assert (moved.R is None) == METHODS[name].finds_offset_alone
     # The candidates differ, and event counts jump at each: the search resolves 10 us. Samples start
     # at its result, so their windows hold other events; where a free skew makes t_d uncertain
     # (0.6 ms with a known pose here), that moves t_d by a part of its deviation.
