@@ -226,6 +226,8 @@ def sync(
             "--estimate-readout: expected a track of a frame camera, got events only, which no "
             "shutter reads out: leave it out"
         )
+    if chosen.needs_extrinsics and known.distance_m is not None:
+        border.check_distance(known.distance_m, models)
     stated = [with_deviations(one, focal_std, centre_std_px) for one in models.cameras]
     for k, source in enumerate(sources):
         if estimate_readout and source.has_track:

@@ -65,6 +65,10 @@ class Known:
 
 NOTHING = Known()
 
+DISTANCE_SHARE = 0.02
+"""Share of a rig's baseline by which a stated distance may differ: a tape between housings, whose
+centres of projection are not seen, errs by a centimetre or two of a metre."""
+
 MEANS, IMAGES = "means", "images"
 """What a method takes of each intensity frame: its mean, or all of its pixels."""
 
@@ -208,6 +212,20 @@ def check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
         raise SsacError(
             f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
             " baseline between a camera and itself: give what each camera recorded"
+        )
+
+
+def check_distance(distance_m: float, rig: Cameras) -> None:
+    """Raise SsacError unless a stated distance is that of the rig's pose, where it has metres."""
+    T_2_1 = rig.pair(0, 1).T_2_1
+    if T_2_1 is None or not rig.in_metres:
+        return
+    baseline_m = float(np.linalg.norm(T_2_1[:3, 3]))
+    if abs(distance_m - baseline_m) > DISTANCE_SHARE * baseline_m:
+        raise SsacError(
+            f"--distance: cameras 1 and 2 are {baseline_m:.4g} m apart in {rig.name}, whose pose is"
+            f" taken as known, and {distance_m:g} m were stated: correct the one that is wrong, or"
+            " leave it out"
         )
 
 

@@ -19,7 +19,7 @@ from ssac.estimate import Estimate
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
 from ssac.methods.method import our_methods
-from ssac.pipeline.opened import Known, opened, opened_rig
+from ssac.pipeline.opened import Known, cameras_of, check_distance, opened, opened_rig
 from ssac.pipeline.report import report_rows
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
@@ -299,6 +299,20 @@ def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
     for fields in ({"distance_m": "a"}, {"distance_m": -1}, {"distance_m": 1, "rtk": Path("a")}):
         with pytest.raises(SsacError, match=r"distance_m"):
             Known(**fields)
+
+
+def test_a_stated_distance_must_be_that_of_a_pose_in_metres_that_is_taken_as_known() -> None:
+    T_2_1 = np.eye(4)
+    T_2_1[:3, 3] = (3.0, 0.0, 4.0)
+    rig = Rig(CAMERA, CAMERA, T_2_1)
+    for distance_m in (4.89, 5.11, 5000.0):
+        said = f"are 5 m apart in the rig, .* and {distance_m:g} m were stated"
+        with pytest.raises(SsacError, match=said):
+            ssac.sync(*EVENTS, rig, known_extrinsics=True, known=Known(distance_m))
+    unknown = replace(rig, in_metres=False)
+    for distance_m, other in ((4.91, rig), (5.09, rig), (9.0, unknown), (9.0, RIG)):
+        check_distance(distance_m, cameras_of(other))
+    assert ssac.sync(*EVENTS, rig, "event_rate", known=Known(9.0)).answer.distance_m == 9.0
 
 
 def test_the_public_names_are_these_and_each_is_what_its_module_defines() -> None:
