@@ -60,7 +60,7 @@ class Cell(FlightCell):
 
 @dataclass(frozen=True)
 class FigureConfig:
-    """How an ablation is drawn."""
+    """How an ablation or a sweep is drawn."""
 
     x: str  # dotted name of the parameter along the axis
     label: str
@@ -200,6 +200,9 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
         raise SsacError("give either search_around_truth_s or ssac.interval_s, not both")
     if grid.figure is not None and grid.figure.x not in grid.varied:
         raise SsacError(f"figure: x = {grid.figure.x!r} is not a parameter that the grid varies")
+    for point in (point for axis in axes for point in axis):
+        if grid.figure is not None and type(point.get(grid.figure.x, 0)) not in (int, float):
+            raise SsacError(f"figure: x = {grid.figure.x!r} has values that are no numbers")
     cells = grid.cells()  # which checks every value
     if flights > 1 and not all(_is_drawn(cell.sim) for cell in cells):
         raise SsacError(
@@ -314,8 +317,10 @@ def _interval(value: Any) -> tuple[float, float] | None:
 
 
 def _figure(table: Any) -> FigureConfig | None:
+    hints = get_type_hints(FigureConfig)
     try:
-        return None if table is None else FigureConfig(**table)
-    except TypeError:
-        known = ", ".join(one.name for one in fields(FigureConfig))
+        given = {name: _converted(value, hints[name]) for name, value in (table or {}).items()}
+        return None if table is None else FigureConfig(**given)
+    except (AttributeError, KeyError, TypeError):
+        known = ", ".join(hints)
         raise SsacError(f"figure: expected a table with {known}, got {table!r}") from None

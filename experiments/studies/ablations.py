@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from experiments.drawing.errors import ablation_figure
 from experiments.drawing.style import Figure, legend_outside, mark_survivors, panels
-from experiments.lab.grid import GridConfig, config_names, named_config
+from experiments.lab.grid import FigureConfig, GridConfig, config_names, named_config
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Runs, Study
@@ -109,7 +109,7 @@ def sweep_study(grid: GridConfig, runs_file: str, command: str, points: str = ""
         grid.name, grid.title, grid.cells, SCORED,
         Runs(runs_file, (*grid.varied, "flight", "method")),
         (made_of(f"{points}.csv", lambda table: points_table(table, grid.varied), runs),
-         made_of(figure, lambda table: points_figure(table, grid.varied), points)),
+         made_of(figure, lambda table: points_figure(table, grid.varied, grid.figure), points)),
         config=config, command=command, shows=points,
         is_committed=False,
     )  # fmt: skip
@@ -140,11 +140,18 @@ def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
     return {"mean": mean, "low": mean - half, "high": mean + half, "median": values.median()}
 
 
-def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
-    """Draw the mean errors with their intervals against the first numeric parameter that varies."""
+def points_figure(
+    points: pd.DataFrame, varied: Sequence[str], look: FigureConfig | None = None
+) -> Figure:
+    """Draw the mean errors with their intervals against the first numeric parameter that varies.
+
+    `look` names another parameter for the axis, its label, its unit and its scale.
+    """
     drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
     numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
-    x = numbers[0] if numbers else "method"
+    (first, *_) = numbers or ["method"]
+    look = look or FigureConfig(first, first)
+    x = look.x
     others = [name for name in (*varied, "method") if name != x]
     title = f"Mean errors; a bar is the interval of {LEVEL:.0%}"
     figure, (panel_of,) = panels(title, 3.8, columns=len(drawn))
@@ -152,17 +159,19 @@ def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
         lines = points.groupby(others, sort=False, dropna=False) if others else [((), points)]
         for point, line in lines:
             line = line.sort_values(x) if numbers else line
-            mean = line[f"{error}_mean"]
+            mean, at = line[f"{error}_mean"], look.scale * line[x] if numbers else line[x]
             label = ", ".join(str(value) for value in point)
             below, above = mean - line[f"{error}_low"], line[f"{error}_high"] - mean
             drawn_line = axes.errorbar(
-                line[x].to_numpy(), mean.to_numpy(), np.nan_to_num([below, above]), marker="o",
+                at.to_numpy(), mean.to_numpy(), np.nan_to_num([below, above]), marker="o",
                 ms=4, lw=1.2, elinewidth=0.9, label=label,
             )  # fmt: skip
-            look = {"marker": "o", "ms": 4, "color": drawn_line.lines[0].get_color()}
-            mark_survivors(axes, line[x], mean, line["answered"], line["runs"], **look)
+            marker = {"marker": "o", "ms": 4, "color": drawn_line.lines[0].get_color()}
+            mark_survivors(axes, at, mean, line["answered"], line["runs"], **marker)
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel(x, fontsize=9)
+        if look.log:
+            axes.set_xscale("log")
+        axes.set_xlabel(look.label, fontsize=9)
         axes.set_title(ERRORS[error].label, fontsize=10)
     legend_outside(figure, 4)
     return figure

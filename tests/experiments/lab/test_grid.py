@@ -161,6 +161,14 @@ def test_parameters_reach_the_field_that_they_name():
         ),
         ({"fixed": {"sim": {"trajectory_file": "a.csv"}}}, "flights must be 1 where sim.traject"),
         ({"figure": {"x": "ssac.n_min", "label": ""}}, "'ssac.n_min' is not a parameter that the"),
+        ({"figure": {"x": "sim.t_d_s", "label": 3}}, "figure: expected a table with x, label, sc"),
+        (
+            {
+                "grid": {"sim": {"drone": ["bird"]}},
+                "figure": {"x": "sim.drone", "label": ""},
+            },
+            "figure: x = 'sim.drone' has values that are no numbers",
+        ),
         ({"figure": {"y": "ssac.n_min"}}, "figure: expected a table with x, label, scale, log"),
     ],
 )

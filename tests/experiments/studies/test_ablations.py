@@ -1,6 +1,7 @@
 """Ablations and users' own grids: tables and figures of their runs, and tangency's variants."""
 
 from shutil import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -8,10 +9,11 @@ import pytest
 from scipy.stats import t as student
 
 from experiments.lab import study as lab
+from experiments.lab.grid import grid_from_content
 from experiments.lab.results import record_checksums
 from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
-from experiments.studies.ablations import ablation_table, points_figure, points_table
+from experiments.studies.ablations import ablation_table, points_figure, points_table, sweep_study
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError
 from ssac.methods.tangency import TangencyConfig
@@ -80,6 +82,20 @@ def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: 
     if kind is float:  # words are drawn over the methods
         assert [len(axes.containers) for axes in figure.axes] == [2, 2, 2]
         assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ssac", "event_rate"]
+
+
+def test_the_figure_of_ones_own_grid_has_the_axis_that_its_file_asks_for() -> None:
+    look = {"x": "sim.angle_deg", "label": "angle [mrad]", "scale": 17.45, "log": True}
+    grid = grid_from_content("my", {"grid": {"sim": {"angle_deg": [30, 90]}}, "figure": look})
+    (draw,) = (one for one in sweep_study(grid, "my.csv", "").makes if one.file == "my.png")
+    table = points_table(runs(), VARIED)
+    shown = []
+    points = SimpleNamespace(table=lambda _: table)
+    for axes in draw.make(points).axes:
+        shown += [axes.get_xlabel(), axes.get_xscale()]
+        for bars in axes.containers:
+            assert list(bars.lines[0].get_xdata()) == pytest.approx([523.5, 1570.5])
+    assert shown == ["angle [mrad]", "log"] * len(ERRORS)
 
 
 @pytest.mark.parametrize(
