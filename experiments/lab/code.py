@@ -25,8 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("sim", "ssac", "experiments")
 
 # Third-party packages whose version may change a recording or an estimate.
-SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
+SIM_PACKAGES = (*SSAC_PACKAGES, "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 
 Use = tuple[str, str]  # a module, and the name that is imported from it; "" for all of it
 

@@ -1,5 +1,6 @@
 """The cache: what an entry depends on; entries are made once and whole, and damage is found."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from experiments.lab import cache as module
 from experiments.lab import grid
 from experiments.lab.cache import ASIDE, Cache, content, recording_key, run_key
+from experiments.lab.code import ROOT
 from experiments.lab.grid import Cell
 from sim.errors import SimError
 from sim.recording import SimConfig
@@ -94,6 +96,18 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
         lambda names: real(names) | ({"numpy": "0.1"} if names == listed else {}),
     )  # fmt: skip
     assert {name for name, key in keys().items() if key != before[name]} == {packages}
+
+
+@pytest.mark.parametrize(
+    ("folder", "listed"), [("sim", module.SIM_PACKAGES), ("ssac", module.SSAC_PACKAGES)]
+)
+def test_every_package_that_computes_is_part_of_a_key(folder, listed):
+    said = r"^\s*(?:import|from) (numpy|scipy|numba|cv2|pyrender|OpenGL|trimesh|manifold3d)\b"
+    texts = (path.read_text(encoding="utf-8") for path in (ROOT / folder).rglob("*.py"))
+    used = {name for text in texts for name in re.findall(said, text, re.MULTILINE)}
+    of = {"cv2": "opencv-python-headless", "OpenGL": "PyOpenGL"}
+    assert {of.get(name, name) for name in used} <= set(listed)
+    assert "cv2" in used
 
 
 def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_path):
