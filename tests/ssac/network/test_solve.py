@@ -314,6 +314,18 @@ def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share(sure) 
         np.testing.assert_array_equal(residuals[own], 2.0 * off)
 
 
+def test_a_pair_tells_the_same_on_clocks_that_count_from_1970(sure) -> None:
+    network, since_s = sure[1].built[0].network, 1.7e9
+    for (a, b), pair in network.constraints.items():
+        states = network.states[a], network.states[b]
+        later = [replace(state, middle_s=state.middle_s + since_s) for state in states]
+        clock = replace(pair.clock, t_ref_s=pair.clock.t_ref_s + since_s)
+        told, then = pair.rows(*states), replace(pair, clock=clock).rows(*later)
+        for by, by_then in zip(told[:2], then[:2], strict=True):
+            # The last digits of such times, 0.2 us, are 1e-4 s of a rate's lever.
+            np.testing.assert_allclose(by_then, by, rtol=1e-3, atol=1e-3 * np.abs(by).max())
+
+
 def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
     flight = make_flight(3)
     links, without = flight.links(), flight.solved()
