@@ -610,7 +610,9 @@ class SignalRules:
 class GroundRules:
     """When a network fits what is known of its frame (`ssac.network.ground`)."""
 
-    max_off_share: float = 0.1  # largest rms error of cameras' stated places, over their spread
+    # Largest rms error of cameras' stated places, over their spread; and the largest distance of
+    # these from one line, over their spread along it, that might be such errors.
+    max_off_share: float = 0.1
     least_explained: float = 0.9  # share of RTK's motion that a path of the same flight explains
     rtk_rate_std_ppm: float = 1000.0  # prior deviation of RTK's clock rate: that of phones
 

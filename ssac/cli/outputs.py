@@ -22,6 +22,7 @@ from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
 from ssac.pipeline.report import save_json
+from ssac.rules import GroundRules
 from ssac.screen import columns, folded
 
 if TYPE_CHECKING:
@@ -145,9 +146,9 @@ def known_of(
     if lever_arm_m is not None and rtk is None:
         raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
     if positions is not None:
-        from ssac.network.ground import load_positions  # a slow import: all that compares paths
+        from ssac.network.ground import check_positions  # a slow import: all that compares paths
 
-        load_positions(positions)
+        check_positions(positions, GroundRules())
     if rtk is not None:
         from ssac.network.ground import check_rtk
 

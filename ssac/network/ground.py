@@ -31,11 +31,7 @@ def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -
     said = load_positions(file)
     placed = {k: one.centre for k, one in enumerate(answer.cameras, 1) if one.group == 1}
     here, there = (np.array([of[k] for k in said if k in placed]) for of in (placed, said))
-    if len(here) < 3:
-        raise SsacError(
-            f"{file}: positions of at least 3 cameras of the network are needed, got {len(here)}: "
-            "add some, or give --distance"
-        )
+    _check_places(file, there, rules)
     found = similarity(here, there)
     off_m = np.linalg.norm(found.apply(here) - there, axis=1)
     spread_m = np.linalg.norm(there - np.mean(there, axis=0), axis=1)
@@ -74,6 +70,28 @@ def ground_of_rtk(
         f"RTK is {found.rmse_m:.3f} m off rms at {len(found.distances_m)} samples; its clock shows "
         f"{clock.t_d_s:.3f} s more at {clock.t_ref_s:.2f} s, and runs {clock.skew_ppm:+.1f} ppm",
     )
+
+
+def check_positions(file: Path, rules: GroundRules) -> None:
+    """Raise SsacError unless a file's positions may set a frame, whichever cameras are placed."""
+    _check_places(file, np.array([*load_positions(file).values()]), rules)
+
+
+def _check_places(file: Path, places: Array, rules: GroundRules) -> None:
+    """Raise SsacError unless cameras at places (n, 3) [m] tell how their frame is turned."""
+    if len(places) < 3:
+        raise SsacError(
+            f"{file}: positions of at least 3 cameras of the network are needed, got {len(places)}:"
+            " add some, or give --distance"
+        )
+    spreads_m = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
+    # Errors that pass for small turn the frame about a line at will.
+    if spreads_m[1] <= rules.max_off_share * spreads_m[0]:
+        raise SsacError(
+            f"{file}: the cameras stand nearly on a line, {spreads_m[1]:.2g} m off it rms over "
+            f"{spreads_m[0]:.2g} m, which leaves open how the frame is turned about it: add one "
+            "that stands aside, or give --rtk or --distance"
+        )
 
 
 def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:

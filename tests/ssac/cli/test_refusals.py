@@ -52,7 +52,8 @@ def folder(recorded, tmp_path_factory) -> Path:
     topics = {"/left": arrays(events[:300]), "/right": mono(events[:300])}
     write_bag(folder / "both.bag", topics)
     write_bag(folder / "one.bag", {"/left": topics["/left"]})
-    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
+    where = "camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n3,0,1,0\n"
+    (folder / "where.csv").write_text(where)
     tracks = folder / "tracks"
     tracks.mkdir()
     save_pair(tracks, make_scene(1), 7.3)
@@ -63,6 +64,8 @@ def folder(recorded, tmp_path_factory) -> Path:
     (tracks / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
     (tracks / "wide-2.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
     (tracks / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
+    poles = "camera,x_m,y_m,z_m\n1,0,0,5\n2,50,0.02,5\n3,100,0,5.01\n"
+    (tracks / "row_of_poles.csv").write_text(poles)
     for name, times_s in {
         "whole_us": np.rint(1e6 * track.times_s),
         "wraps": track.times_s % (2**24 * 1e-6),
@@ -133,6 +136,7 @@ MANY = [
     ("third.csv --estimate-readout", "--estimate-readout: is for two cameras"),
     ("third.csv --lever-arm 0 0 1 --rtk no_attitude.csv", "no attitude"),
     ("third.csv --positions cameras_twice.csv", "camera 1 is there twice"),
+    ("third.csv --positions row_of_poles.csv", "stand nearly on a line"),
     *(
         (f"third.csv --rtk no_attitude.csv {option} {name}", f"{name}: is one of the inputs")
         for option in ("--json", "--trajectory")

@@ -434,11 +434,15 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
 
 def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
     flight, answer = solved
-    centres, exact = centres_m(flight), GroundRules(max_off_share=0.0)
+    centres, exact = centres_m(flight), GroundRules(max_off_share=1e-9)
+    beside_a_line = np.array([[-20.0, 0.0, 0.0], [0.0, 1.2, 0.0], [15.0, 0.0, 0.0]])
     for positions, rules, message in (
         (centres[[1, 0, 3, 2]] * [1.0, 3.0, 1.0], GROUND, "contradict these positions, by"),
         (centres, exact, "contradict these positions, by"),
         (centres[:2], GROUND, "at least 3 cameras"),
+        # Errors of centimetres turn a frame about such a line, and the path in it, by any angle.
+        (beside_a_line, GROUND, "nearly on a line, 0.5. m off it rms over 14 m"),
+        (np.outer(np.arange(4.0), [1.0, 2.0, 0.0]), exact, "nearly on a line, "),
     ):
         write_positions(tmp_path / "positions.csv", positions)
         with pytest.raises(SsacError, match=message):
