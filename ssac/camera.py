@@ -189,6 +189,11 @@ def check_cameras(rig: Cameras) -> None:
     """Raise SsacError unless all cameras, and the transforms between them, can be used."""
     if not isinstance(rig.cameras, tuple | list):
         raise SsacError(f"{rig.name}: expected the ssac.Camera of each, got {rig.cameras!r}")
+    if len(rig.steps) not in (0, len(rig.cameras) - 1):
+        raise SsacError(
+            f"{rig.name}: expected a transform from each of {len(rig.cameras)} cameras to the next,"
+            f" or none at all, got {len(rig.steps)}: give None for one that is not known"
+        )
     for k, camera in enumerate(rig.cameras, start=1):
         check_camera(camera, f"camera {k}")
     for k, step in enumerate(rig.steps, start=1):

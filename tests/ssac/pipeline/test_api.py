@@ -288,6 +288,13 @@ def test_a_wrong_camera_or_chain_is_one_clear_error_on_every_path():
             ssac.Chain(seen, RIG).answer("joint", *pair)
 
 
+def test_a_pose_without_the_next_ones_is_not_taken_for_that_of_a_later_camera():
+    rig = Cameras((CAMERA,) * 3, (SCENE.rig.T_2_1,))  # of camera 2; camera 3 has none
+    with pytest.raises(SsacError, match="or none at all, got 1: give None"):
+        cameras_of(rig)
+    assert cameras_of(replace(rig, steps=(*rig.steps, None))).pair(0, 2).T_2_1 is None
+
+
 def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
     for numbers in (3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)):
         with pytest.raises(SsacError, match=r"^cameras: expected the numbers|for both|no cam2"):
