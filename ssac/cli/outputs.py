@@ -17,7 +17,12 @@ from ssac.files.event_files import WRITTEN, check_written, load_events, write_sy
 from ssac.files.rigs import RIG_SUFFIXES
 from ssac.files.ros_bags import file_of
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
-from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets, numbered_file
+from ssac.files.whole_file import (
+    FIGURE_SUFFIXES,
+    check_figures_folder,
+    check_targets,
+    numbered_file,
+)
 from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
@@ -30,9 +35,6 @@ if TYPE_CHECKING:
 
 
 PAGE_SUFFIXES = (".html", ".htm")
-
-# Of pictures that are not written; a name that ends so is not meant as a folder's.
-_OTHER_PICTURES = (".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp")
 
 
 @dataclass(frozen=True)
@@ -64,17 +66,7 @@ def check_outputs(cameras: Sequence[Path], others: Sequence[Path], outputs: Outp
         pairs = [f"{a}-{b}" for a, b in combinations(range(1, n + 1), 2)]
         files += [plot] if n == 2 else [numbered_file(plot, pair) for pair in pairs]
     elif plot is not None:
-        if plot.exists() and not plot.is_dir():
-            raise SsacError(
-                f"{plot}: exists and is no folder: name a folder, or a file ending in "
-                f"{', '.join(FIGURE_SUFFIXES)}"
-            )
-        if plot.suffix.lower() in _OTHER_PICTURES:
-            raise SsacError(
-                f"{plot}: cannot write the extension {plot.suffix!r}: name a folder, or a file "
-                f"ending in {', '.join(FIGURE_SUFFIXES)}"
-            )
-        check_folder(plot)
+        check_figures_folder(plot)
     check_targets(files, [file_of(path) for path in (*cameras, *others)])
 
 

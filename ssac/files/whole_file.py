@@ -21,6 +21,9 @@ from ssac.errors import SsacError, WriteError
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
+# Of pictures that are not written; a name that ends so is not meant as a folder's.
+_OTHER_PICTURES = (".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp")
+
 LEFT_OVER_S = 86_400.0
 """Time since the last write after which a temporary file of another host counts as left over."""
 
@@ -43,6 +46,21 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
         if output.resolve() in named:
             raise SsacError(f"{output}: is named for two outputs: name a file for each")
         named.add(output.resolve())
+
+
+def check_figures_folder(folder: Path) -> None:
+    """Raise SsacError unless figures can be written into a folder, and it is meant as one."""
+    if folder.exists() and not folder.is_dir():
+        raise SsacError(
+            f"{folder}: exists and is no folder: name a folder, or a file ending in "
+            f"{', '.join(FIGURE_SUFFIXES)}"
+        )
+    if folder.suffix.lower() in _OTHER_PICTURES:
+        raise SsacError(
+            f"{folder}: cannot write the extension {folder.suffix!r}: name a folder, or a file "
+            f"ending in {', '.join(FIGURE_SUFFIXES)}"
+        )
+    check_folder(folder)
 
 
 def numbered_file(path: Path, number: int | str) -> Path:

@@ -404,7 +404,8 @@ def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"
     skew = f"skew {camera.skew_ppm:+.1f} ppm, 1 sigma {camera.skew_std_ppm:.1f}"
     turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
-    return [
-        (camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}"),
-        ("", f"at {stands}{unit}, {turned}; {used}"),
-    ]
+    rows = [(camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}")]
+    if len(camera.knots_s):
+        then_ms = 1e3 * float(camera.clock.added_s(camera.t_ref_s))
+        rows.append(("", f"for a straight line, from which it strays by {then_ms:+.2f} ms then"))
+    return [*rows, ("", f"at {stands}{unit}, {turned}; {used}")]

@@ -23,7 +23,7 @@ from ssac.arrays import Array
 from ssac.camera import Camera, undistortion_map
 from ssac.estimate import Status
 from ssac.events import US_PER_S, slice_time
-from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
+from ssac.files.whole_file import FIGURE_SUFFIXES, check_figures_folder, whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.fit.least_squares import Parameters, WeighedPairs
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, sampson_distance
@@ -68,6 +68,7 @@ def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
     if target.suffix.lower() in FIGURE_SUFFIXES:
         pages = {target: figures}
     else:
+        check_figures_folder(target)
         target.mkdir(parents=True, exist_ok=True)
         pages = {target / f"{figure[0]}.png": [figure] for figure in figures}
     for path, shown in pages.items():

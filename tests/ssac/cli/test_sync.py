@@ -357,6 +357,9 @@ def test_three_cameras(flown, files, tmp_path):
         # Readouts of frames are unknown, so deviations include 10 ms for them.
         assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
         assert camera["t_d_std_s"] < 0.02
+        knots = zip(*(one.values() for one in camera["clock_knots"]), strict=True)
+        stray_ms = 1e3 * np.interp(camera["t_ref_s"], *knots)
+        assert f"straight line, from which it strays by {stray_ms:+.2f} ms then" in result.stdout
     assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flown.distance_m, rel=1e-4)
     cam2, cam3 = found["cameras"][1:]
     rig = load_rig(rig_file, (1, 3))

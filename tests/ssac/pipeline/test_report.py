@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import ssac
 from ssac.camera import Camera, distort_points
+from ssac.errors import SsacError
 from ssac.estimate import ClockJump, Estimate, Status
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -210,6 +211,8 @@ def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp
     assert [path.name for path in written] == ["d_avg.png", "epipolar.png"]
     figures = [cv2.imread(str(path)) for path in written]
     assert min(map(np.std, figures)) > 10.0  # not blank
+    with pytest.raises(SsacError, match=r"page\.gif: cannot write the extension '\.gif'"):
+        result.plot(tmp_path / "page.gif")
     assert isinstance(result.plot(tmp_path / "page.png"), Figure)
     height, width, _ = cv2.imread(str(tmp_path / "page.png")).shape
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
