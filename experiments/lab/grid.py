@@ -221,31 +221,41 @@ def _is_drawn(sim: SimConfig) -> bool:
 
 def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
     """Set parameters, by dotted names, in the default configurations."""
-    roots = dict(_ROOTS)
+    given: dict[str, dict[str, Any]] = {root: {} for root in _ROOTS}
     for name, value in parameters.items():
         root, _, path = name.partition(".")
-        if root not in roots or not path:
+        if root not in given or not path:
             raise SsacError(f"unknown parameter {name!r}: expected sim.<name> or ssac.<name>")
-        roots[root] = _with_value(roots[root], path, value, name)
-    return roots["sim"], roots["ssac"]
+        given[root][path] = value
+    sim, estimator = (_with_values(_ROOTS[root], values, root) for root, values in given.items())
+    return sim, estimator
 
 
-def _with_value(config: Any, path: str, value: Any, name: str) -> Any:
-    """Return a copy of a nested dataclass with one field, by its dotted path, set."""
-    key, _, rest = path.partition(".")
+def _with_values(config: Any, values: Mapping[str, Any], prefix: str) -> Any:
+    """Return a copy of a nested dataclass with fields, by dotted paths, set.
+
+    They are set all at once, since a configuration checks them together.
+    """
+    hints = get_type_hints(type(config))
     known = [one.name for one in fields(config)]
-    if key not in known:
-        raise SsacError(f"unknown parameter {name!r}: {key!r} is none of {', '.join(known)}")
-    if rest:
-        inner = getattr(config, key)
-        if not is_dataclass(inner):
-            raise SsacError(f"unknown parameter {name!r}: {key!r} has no parts")
-        return replace(config, **{key: _with_value(inner, rest, value, name)})
-    hint = get_type_hints(type(config))[key]
-    try:
-        return replace(config, **{key: _converted(value, hint)})
-    except TypeError as error:
-        raise SsacError(f"{name}: expected {_type_name(hint)}, got {value!r}") from error
+    changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
+    for path, value in values.items():
+        name = f"{prefix}.{path}"
+        key, _, rest = path.partition(".")
+        if key not in known:
+            raise SsacError(f"unknown parameter {name!r}: {key!r} is none of {', '.join(known)}")
+        if rest:
+            if not is_dataclass(getattr(config, key)):
+                raise SsacError(f"unknown parameter {name!r}: {key!r} has no parts")
+            parts.setdefault(key, {})[rest] = value
+            continue
+        try:
+            changes[key] = _converted(value, hints[key])
+        except TypeError as error:
+            raise SsacError(f"{name}: expected {_type_name(hints[key])}, got {value!r}") from error
+    for key, part in parts.items():
+        changes[key] = _with_values(getattr(config, key), part, f"{prefix}.{key}")
+    return replace(config, **changes)
 
 
 def _converted(value: Any, hint: Any) -> Any:

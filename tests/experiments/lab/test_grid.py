@@ -125,6 +125,21 @@ def test_parameters_reach_the_field_that_they_name():
 
 
 @pytest.mark.parametrize(
+    "values",
+    [
+        {"sim.frames.exposure_s": 0.03, "sim.frames.rate_hz": 25.0},  # 50 Hz has room for 0.02 s
+        {"sim.effects.frame_gap_s": 0.03, "sim.frames.rate_hz": 25.0},
+        {"sim.effects.cutoff_min_hz": 6000.0, "sim.effects.cutoff_max_hz": 1e4},
+        {"sim.spline.duration_s": 0.3, "sim.spline.sampling_hz": 20.0},
+    ],
+)
+def test_parameters_are_checked_together_whatever_their_order(values):
+    sim, _ = configs_of(values)
+    assert configs_of(dict(reversed(values.items()))) == (sim, Config())
+    assert all(attrgetter(name)(SimpleNamespace(sim=sim)) == values[name] for name in values)
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"trajectory": 3}, r"unknown key 'trajectory': known are title, flights"),
