@@ -133,8 +133,8 @@ def _closed(mesh: trimesh.Trimesh) -> Part:
     albedo = _albedo(mesh)
     mesh = mesh.copy()
     mesh.merge_vertices(merge_tex=True, merge_norm=True)  # files repeat vertices along every seam
-    if not mesh.is_volume:
-        trimesh.repair.fix_normals(mesh, multibody=True)  # type: ignore[no-untyped-call]
+    # Also of a closed mesh: one of its bodies, such as a mirrored arm, may be inside out.
+    trimesh.repair.fix_normals(mesh, multibody=True)  # type: ignore[no-untyped-call]
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if not mesh.is_volume:
         faces = np.concatenate([faces, faces[:, ::-1]])

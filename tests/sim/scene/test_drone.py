@@ -112,6 +112,16 @@ def test_inside_out_file_is_turned_outward(tmp_path):
     assert as_mesh(part).volume == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
+def test_each_body_of_a_closed_mesh_faces_outward(tmp_path, suffix):
+    body, arm = trimesh.creation.box((1.0, 1.0, 0.3)), trimesh.creation.box((0.2, 0.2, 0.2))
+    arm.apply_translation((0.0, 0.0, 0.6))
+    arm.invert()  # as many a program leaves what it mirrors
+    (part,) = from_file(trimesh.util.concatenate([body, arm]), tmp_path / f"two.{suffix}").parts
+    volumes = [one.volume for one in as_mesh(part).split()]
+    np.testing.assert_allclose(sorted(volumes), [0.008, 0.3], rtol=1e-5)  # float32
+
+
 def test_open_mesh_shows_both_sides(tmp_path):
     box = trimesh.creation.box()
     box.update_faces(np.arange(12) > 1)
