@@ -16,6 +16,7 @@ from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
 from ssac.cli.options import named, number
 from ssac.config import Config
+from ssac.errors import SsacError
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
@@ -57,11 +58,19 @@ def scene_figures(recording: Recording) -> SceneFigures:
 
 
 def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
-    """Return the statistics of two cameras' recordings, by the true rig and the true offset."""
+    """Return the statistics of two cameras' recordings, by the true rig and the true offset.
+
+    SsacError when no sample time is valid in both views.
+    """
     config = Config()
     views = Chain((cam1, cam2), rig, config).views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     pairs = views.pairs(t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]))
+    if not pairs.valid.any(axis=1).all():
+        raise SsacError(
+            "no figures: at no sample time do both cameras see the drone well enough: fly longer, "
+            "nearer or by a larger drone"
+        )
     distances = [epipolar_distance(F, *pairs.valid_positions(m)) for m in range(3)]
     before, mean, after = (np.mean(of_offset) for of_offset in distances)
     times_s = pairs.times_s[1][pairs.valid[1]]

@@ -17,6 +17,7 @@ from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
+from ssac.errors import SsacError
 from ssac.estimate import Estimate
 
 TRUTH = Truth(
@@ -77,6 +78,12 @@ def test_figures_are_those_of_the_truth():
     assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
     # The figures do not depend on the time offset.
     assert scene_figures(simulate(replace(FLOWN, t_d_s=0.25), 0)) == figures
+    # 5 events a camera make no valid sample.
+    few = tuple(
+        replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras
+    )
+    with pytest.raises(SsacError, match="no figures: at no sample time do both cameras see"):
+        scene_figures(replace(recording, cameras=few))
 
 
 def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, capsys):
