@@ -129,7 +129,7 @@ OPTIONS: Mapping[str, SimOption] = {
         "Rate of noise events per pixel, added to --noise.", 0, 100, "hertz"
     )),
     "branches": _of("disturb.branches", number(
-        "Number of events from swaying branches, in each camera.", 0, 100_000_000, metavar="EVENTS"
+        "Rough number of events from swaying branches, a camera.", 0, 100_000_000, metavar="EVENTS"
     )),
     "people": _of(
         "disturb.people", number("Number of people who walk through each view.", 0, 100)

@@ -48,8 +48,10 @@ def load_background(path: Path, camera: Camera) -> Float32Array:
 
 def _load_array(path: Path) -> Float32Array:
     try:
-        return np.ascontiguousarray(np.load(path), np.float32)
-    except (OSError, ValueError, EOFError) as error:  # NumPy raises the last for an empty file
+        luminance: Float32Array = np.asarray(np.load(path)).astype(np.float32, casting="same_kind")
+        return np.ascontiguousarray(luminance)
+    except (OSError, ValueError, TypeError, EOFError) as error:
+        # NumPy raises TypeError for records and complex numbers, EOFError for an empty file.
         raise SimError(f"cannot read the background {path}: {error}") from error
 
 

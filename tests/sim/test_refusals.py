@@ -227,6 +227,8 @@ WALLS = [
     *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
     *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),
     ("empty.npy", b"", UNREAD),
+    ("complex.npy", np.zeros((48, 64), complex), UNREAD),
+    ("records.npy", np.zeros((48, 64), [("light", "f8")]), UNREAD),
     ("two.npy", two_arrays(), UNREAD),
 ]
 ROW = "{},{},0,1,0,0,0,1\n"  # t, x
