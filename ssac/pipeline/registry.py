@@ -136,14 +136,32 @@ def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -
             f"returned the status {str(estimate.status)!r}: give one word of ssac.Status, or of"
             f" your own, that matches {_STATUS.pattern}"
         )
-    elif estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
-        fault = (
-            f'returned t_d_s = {estimate.t_d_s} with status "ok": give the reason\'s name as the'
-            " status when there is no offset"
-        )
-    else:
+    elif not (fault := _fault_of(estimate)):
         return estimate
     raise PluginError(_bug(origin, fault, where))
+
+
+def _fault_of(estimate: Estimate) -> str:
+    """Say which value of an estimate cannot be, where one cannot; empty otherwise."""
+    t_d_s, R, t, most = estimate.t_d_s, estimate.R, estimate.t, 1e-3  # a rounded pose's error
+    if np.ndim(t_d_s) != 0:
+        return f"returned t_d_s of shape {np.shape(t_d_s)}: give one number"
+    if estimate.status == Status.OK and not np.isfinite(t_d_s):
+        return (
+            f'returned t_d_s = {t_d_s} with status "ok": give the reason\'s name as the'
+            " status when there is no offset"
+        )
+    if np.isfinite(estimate.skew_ppm) and not np.isfinite(estimate.t_ref_s):
+        return "returned skew_ppm without t_ref_s: give the time at which t_d holds"
+    if R is not None and not (
+        np.shape(R) == (3, 3)
+        and np.allclose(np.transpose(R) @ R, np.eye(3), rtol=0.0, atol=most)
+        and np.linalg.det(R) > 0.0
+    ):
+        return f"returned R = {np.array(R).tolist()}: give an array (3, 3), a rotation, or None"
+    if t is not None and not (np.shape(t) == (3,) and abs(np.linalg.norm(t) - 1.0) <= most):
+        return f"returned t = {np.array(t).tolist()}: give an array (3,) of length 1, or None"
+    return ""
 
 
 def _bug(origin: str, fault: str, where: Path | str) -> str:

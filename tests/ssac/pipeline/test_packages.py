@@ -150,10 +150,15 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
         ("0.25", "must return an Estimate, got float"),
         ('Estimate("mine")', 't_d_s = nan with status "ok"'),
         ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
+        ('Estimate("mine", t_d_s=np.zeros(1))', r"t_d_s of shape \(1,\): give one number"),
+        ('Estimate("mine", t_d_s=0.0, skew_ppm=9.0)', "skew_ppm without t_ref_s"),
+        ('Estimate("mine", t_d_s=0.0, R=np.full((3, 3), np.nan))', "R = .*: give an array"),
+        ('Estimate("mine", t_d_s=0.0, R=2.0 * np.eye(3))', "R = .*: give an array"),
+        ('Estimate("mine", t_d_s=0.0, t=np.array([5.0, 0.0, 0.0]))', "t = .*: give an array"),
     ],
 )
 def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
-    source = GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
+    source = "import numpy as np\n" + GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
     install(site, "careless", "mine = careless:estimate", source)
     # A PluginError counts as a crash; an SsacError would blame the data.
     with pytest.raises(PluginError, match=rf"careless 1\.2 \(entry .*{message}"):
