@@ -157,8 +157,11 @@ def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
 
 def _best_shifts_s(
     estimate: InTime, truth: InTime, max_shift_s: float | None, with_scale: bool
-) -> list[float]:
-    """Give the shifts [s] of the best few peaks of the score over even shifts, best first."""
+) -> tuple[list[float], float]:
+    """Give the shifts [s] of the best few peaks of the score over even shifts, best first.
+
+    Also gives the largest shift [s] to which one may be refined: a step beyond the bound.
+    """
     common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
     step_s = min(_step_s(estimate), _step_s(truth))
     step_s = max(step_s, common_s / 2**20)  # the memory's limit
@@ -166,13 +169,13 @@ def _best_shifts_s(
     one, other = (_at_even_times(path, step_s, unit) for path in (estimate, truth))
     lags, score = _scores(one, other, with_scale)
     shifts_s = truth.times_s[0] - estimate.times_s[0] + step_s * lags
-    if max_shift_s is not None:
-        score = np.where(np.abs(shifts_s) <= max_shift_s + step_s, score, -np.inf)
+    most_s = np.inf if max_shift_s is None else max_shift_s + step_s
+    score = np.where(np.abs(shifts_s) <= most_s, score, -np.inf)
     around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
     peaks = np.flatnonzero((score >= around) & np.isfinite(score))
     peaks = peaks[score[peaks] >= RULES.rival * np.max(score[peaks], initial=-np.inf)]
     best = peaks[np.argsort(-score[peaks])][: RULES.most_shifts]
-    return [float(shifts_s[k]) for k in best]
+    return [float(shifts_s[k]) for k in best], most_s
 
 
 def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Array]:
@@ -260,9 +263,12 @@ def best_shift(
     alike. SsacError if the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate), None, -np.inf
-    for shift_s in _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale):
+    shifts_s, most_s = _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale)
+    for shift_s in shifts_s:
         fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale)
-        if fit is not None and _score(*fit, path, truth) > score:
+        if fit is None or abs(fit[0].t_d_s) > most_s:
+            continue  # it diverged, or left the bound
+        if _score(*fit, path, truth) > score:
             best, score = fit, _score(*fit, path, truth)
     if best is None:
         within = "" if max_shift_s is None else f" within {max_shift_s:g} s"

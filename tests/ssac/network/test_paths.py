@@ -218,7 +218,9 @@ def test_shifts_beyond_the_bound_are_not_taken_and_paths_at_rest_have_none():
     clock, times_s = Clock(40.0), np.arange(0.0, 60.0, 0.2)
     estimate, truth = both(120.0, 1, clock, (20.0, 100.0))
     check(best_shift(estimate, truth, 60.0), clock)
-    assert abs(best_shift(estimate, truth, 20.0)[0].t_d_s) < 25.0
+    assert abs(best_shift(estimate, truth, 20.0)[0].t_d_s) < 20.5  # a step beyond, 0.5 s at most
+    with pytest.raises(SsacError, match="no shift within 39 s"):
+        best_shift(estimate, truth, 39.0)  # from where the refinement reaches 40 s
     rest = Path(times_s, np.zeros((len(times_s), 3)))
     moving = Path(times_s, flight(60.0, 0)(times_s))
     for pair in ((rest, moving), (moving, rest)):
