@@ -52,7 +52,12 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     except faults_of_input as error:
         return fail(str(error), BAD_INPUT)
     except Exception as error:
-        return fail(_bug_line(error), BUG)
+        raised = _signal_within(error)
+        if raised is None:
+            return fail(_bug_line(error), BUG)
+        if isinstance(raised, SystemExit):
+            raise raised from None
+        code = INTERRUPTED
     if code == INTERRUPTED:
         print("interrupted", file=sys.stderr)
     return code
@@ -106,6 +111,14 @@ def _signals_as_exceptions() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _signal_within(error: BaseException) -> BaseException | None:
+    """Return what a signal raised amid compiled code, which makes a SystemError of it."""
+    cause: BaseException | None = error
+    while isinstance(cause, SystemError):
+        cause = cause.__cause__
+    return cause if isinstance(cause, KeyboardInterrupt | SystemExit) else None
 
 
 def _bug_line(error: Exception) -> str:

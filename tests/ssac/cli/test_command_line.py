@@ -397,6 +397,19 @@ def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body
     assert process.returncode == INTERRUPTED
 
 
+def test_a_signal_amid_compiled_code_is_no_bug(capsys):
+    def within(raised):
+        wrapped = SystemError("a function returned a result with an exception set")
+        wrapped.__cause__ = SystemError("another did")
+        wrapped.__cause__.__cause__ = raised
+        return Mock(side_effect=wrapped)
+
+    assert guarded(within(KeyboardInterrupt())) == INTERRUPTED
+    with pytest.raises(SystemExit, match="143"):
+        guarded(within(SystemExit(143)))
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_an_interrupt_leaves_the_callers_signals_as_they_were():
     numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
     before = [signal.getsignal(number) for number in numbers]
