@@ -19,7 +19,7 @@ from ssac.errors import SsacError
 from ssac.files.damage import is_number, readable
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import write_whole
-from ssac.points import PointTrack
+from ssac.points import PointTrack, check_track
 
 OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2")}
 """Calibrations of each model that has two: for data sets 1 and 2, and for the later ones."""
@@ -85,6 +85,8 @@ def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
     if not kept.any():
         raise SsacError(f"{path}: the object is seen in no frame: get the file again")
     track = PointTrack(frames[kept] / fps, points[kept])
+    width, height = rig["resolution"]
+    check_track(track, width, height, str(path))
     return ImportedCamera(name, model, fps, rig, track, int(np.count_nonzero(seen & ~inside)))
 
 
