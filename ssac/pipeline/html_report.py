@@ -155,9 +155,12 @@ def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
     meaning, remedy = "", ""
     if isinstance(status, Status):  # another package's method may have its own word
         meaning, remedy = status.meaning, status.remedy
+    kind = _kind(status, has_some)
+    if kind == "ok" and not np.isfinite(estimate.t_d_std_s):
+        kind, meaning = "open", "there is an offset, but its accuracy is unknown"
     if network is not None:
         status, reason, has_some = network.status, network.reason, bool(network.built)
-        meaning, remedy, notes = Status.OK.meaning, "", ()
+        kind, meaning, remedy, notes = _kind(status, has_some), Status.OK.meaning, "", ()
         if status != Status.OK:
             meaning = "not all cameras are on one clock and in one frame"
             remedy = (
@@ -165,7 +168,7 @@ def _status(answers: Answers, network: NetworkAnswer | None) -> dict[str, Any]:
                 " rig of these cameras, in this order"
             )
     return {
-        "kind": _kind(status, has_some),
+        "kind": kind,
         "word": str(status),
         "meaning": meaning,
         "reason": reason,

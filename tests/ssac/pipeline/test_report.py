@@ -484,6 +484,13 @@ def test_fitted_intrinsics_are_those_of_the_fundamental_matrix(recorded):
     assert "Table of intrinsics" in page_of(joint.answer)
 
 
+def test_an_offset_of_unknown_accuracy_is_not_called_reliable(recorded):
+    found = ssac.sync(*recorded.pair, recorded / "rig.yaml", "event_rate")
+    page = page_of(found.answer)
+    assert (found.status, "its accuracy is unknown" in page) == ("ok", True)
+    assert not [words for words in ("Reliable", "to be relied upon") if words in page]
+
+
 def test_the_command_writes_the_page_and_opens_it(recorded, tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
