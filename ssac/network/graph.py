@@ -26,9 +26,12 @@ Pair = tuple[int, int]
 Triple = tuple[int, int, int]
 
 _SIZE = 7  # offset, turn, direction, skew
-_STEPS = {DELAY: 1e-2, RATE: 1e-3, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
-"""Steps of numerical derivatives of nearly linear functions, by place of a camera's parameter:
-those of clocks are far above the last digits of times since 1970, some 0.2 us."""
+_STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
+"""Steps of numerical derivatives of nearly linear functions, by place of a camera's parameter."""
+
+_LATE_S = 2e3
+"""Time from which on those of clocks grow with it: the last digits of times since 1970, some
+0.2 us, would hide a step of the rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,9 @@ class Link:
 def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
     """Return derivatives (7, s) of what a state predicts, by central differences."""
     by = np.zeros((_SIZE, state.size))
+    late = max(1.0, abs(state.middle_s) / _LATE_S, abs(state.delay_s) / _LATE_S)
     for place, size in _STEPS.items():
+        size *= late if place in (DELAY, RATE) else 1.0
         step = np.zeros(state.size)
         step[place] = size
         by[:, place] = (off(state.moved(-step)) - off(state.moved(step))) / (2.0 * size)
