@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import Reading
@@ -27,7 +28,6 @@ from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
 from ssac.pipeline.report import save_json
-from ssac.rules import GroundRules
 from ssac.screen import columns, folded
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def known_of(
     if positions is not None:
         from ssac.network.ground import check_positions  # a slow import: all that compares paths
 
-        check_positions(positions, GroundRules())
+        check_positions(positions, Config().rules.ground)
     if rtk is not None:
         from ssac.network.ground import check_rtk
 
