@@ -38,6 +38,11 @@ class Clock:
             added_s = added_s + np.interp(times_s, self.knots_s, self.strays_s)
         return np.asarray(added_s)
 
+    @property
+    def stray_at_ref_s(self) -> float:
+        """Return what the clock shows at t_ref [s] beyond its offset there."""
+        return float(self.added_s(self.t_ref_s))
+
     def cam2_from_cam1(self, times_s: Array | float) -> Array:
         """Return what camera 2's clock shows (...,) [s] at times of camera 1's."""
         times_s = np.asarray(times_s, np.float64)

@@ -272,8 +272,7 @@ def write_two(
     if rig is not None:
         T = _transform(estimate)
         T[:3, 3] *= scale
-        stray_s = float(estimate.clock.added_s(estimate.clock.t_ref_s))
-        step = Step(1, T, estimate.t_d_s + stray_s, in_metres)
+        step = Step(1, T, estimate.t_d_s + estimate.clock.stray_at_ref_s, in_metres)
         _save_rig(rig, answer.cameras, [None, step], log)
 
 
@@ -406,6 +405,6 @@ def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     rows = [(camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}")]
     if len(camera.knots_s):
-        then_ms = 1e3 * float(camera.clock.added_s(camera.t_ref_s))
+        then_ms = 1e3 * camera.clock.stray_at_ref_s
         rows.append(("", f"for a straight line, from which it strays by {then_ms:+.2f} ms then"))
     return [*rows, ("", f"at {stands}{unit}, {turned}; {used}")]

@@ -174,7 +174,7 @@ def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
     ]
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
-        then_ms = 1e3 * float(estimate.clock.added_s(estimate.t_ref_s))
+        then_ms = 1e3 * estimate.clock.stray_at_ref_s
         rows += [
             ("", f"for a straight line, from which it strays by up to {most_ms:.3f} ms, and by"),
             ("", f"{then_ms:+.3f} ms at that time: {len(estimate.knots_s)} knots"),
