@@ -9,11 +9,13 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.damage import check_is_file, readable
+from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
+from ssac.geometry.epipolar import cross_matrix
 from ssac.network.align import Similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
-from ssac.rules import GroundRules
+from ssac.rules import FitRules, GroundRules
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 
@@ -24,13 +26,28 @@ class Ground:
 
     similarity: Similarity  # from the first camera's frame to the known one
     said: str  # how well it fits, for people
+    middle_m: Array  # (3,) of the points it was fitted to
+    covariance: Array  # (7, 7) of turn about the middle [rad], shift [m] and log of scale
+
+    def added(self, points_m: Array) -> Array:
+        """Covariances (..., 3, 3) [m^2] that the frame's own errors give points (..., 3) [m]."""
+        by_frame = _by_frame(points_m - self.middle_m)
+        return np.asarray(by_frame @ self.covariance @ np.swapaxes(by_frame, -1, -2))
+
+
+def _by_frame(arms_m: Array) -> Array:
+    """Differentiate points, at arms (..., 3) from the middle, by turn, shift and log of scale."""
+    turns = -np.stack([cross_matrix(arm_m) for arm_m in arms_m.reshape(-1, 3)])
+    turns = turns.reshape(*arms_m.shape, 3)
+    shifts = np.broadcast_to(np.eye(3), turns.shape)
+    return np.concatenate([turns, shifts, arms_m[..., None]], axis=-1)
 
 
 def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
     """Fit at least three cameras to their given positions; SsacError if these contradict poses."""
-    said = load_positions(file)
+    stated = load_positions(file)
     placed = {k: one.centre for k, one in enumerate(answer.cameras, 1) if one.group == 1}
-    here, there = (np.array([of[k] for k in said if k in placed]) for of in (placed, said))
+    here, there = (np.array([of[k] for k in stated if k in placed]) for of in (placed, stated))
     _check_places(file, there, rules)
     found = similarity(here, there)
     off_m = np.linalg.norm(found.apply(here) - there, axis=1)
@@ -41,13 +58,20 @@ def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -
             f"{file}: the cameras' poses contradict these positions, by {rms_m:.2f} m over "
             f"{extent_m:.2f} m: check which camera is which, and the order x y z"
         )
-    return Ground(found, f"cameras stand within {rms_m:.3f} m of their given positions")
+    middle_m = np.asarray(np.mean(there, axis=0))
+    freedom = 3 * len(there) - 7
+    J = _by_frame(there - middle_m).reshape(-1, 7)
+    deviation_m = student_factor(freedom) * float(np.sqrt(np.sum(off_m**2) / freedom))
+    covariance = np.asarray(deviation_m**2 * np.linalg.inv(J.T @ J), np.float64)
+    said = f"cameras stand within {rms_m:.3f} m of their given positions"
+    return Ground(found, said, middle_m, covariance)
 
 
 def ground_of_rtk(
     answer: NetworkAnswer,
     file: Path,
     rules: GroundRules,
+    fit: FitRules,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Ground:
     """Align the path of a network with one by RTK, whose clock is unknown.
@@ -65,11 +89,28 @@ def ground_of_rtk(
             "motion only: check that it is of this flight"
         )
     clock = found.clock
-    return Ground(
-        found.similarity,
+    said = (
         f"RTK is {found.rmse_m:.3f} m off rms at {len(found.distances_m)} samples; its clock shows "
-        f"{clock.t_d_s:.3f} s more at {clock.t_ref_s:.2f} s, and runs {clock.skew_ppm:+.1f} ppm",
+        f"{clock.t_d_s:.3f} s more at {clock.t_ref_s:.2f} s, and runs {clock.skew_ppm:+.1f} ppm"
     )
+    laid_m, times_s = found.estimate_m, found.times_s
+    middle_m = np.mean(laid_m, axis=0)
+    moving_m_s = np.gradient(laid_m, times_s, axis=0)[..., None]  # its clock is fitted as well
+    by_clock = [moving_m_s, moving_m_s * (times_s - np.mean(times_s))[:, None, None]]
+    J = np.concatenate([_by_frame(laid_m - middle_m), *by_clock], axis=2)
+    n, p = len(J), J.shape[2]
+    covariance = correlated_covariance(
+        np.tile(times_s, 3),
+        J.transpose(1, 0, 2).reshape(-1, p),
+        (found.truth_m - laid_m).T.ravel(),
+        np.ones(3 * n),
+        fit,
+        np.full(p, PRIOR),
+        np.full(p, np.nan),
+        np.empty(0, np.intp),
+        cautious=True,
+    )
+    return Ground(found.similarity, said, middle_m, covariance[:7, :7])
 
 
 def check_positions(file: Path, rules: GroundRules) -> None:
@@ -111,12 +152,25 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
             covariance = frame.scale**2 * frame.R @ covariance @ frame.R.T
             R = R @ frame.R.T  # x_k = R X + t in metres, X in the known frame
             t = frame.scale * t - R @ frame.t
+            turned = np.trace(ground.covariance[:3, :3])
+            # t is the place of the frame's origin, as the camera sees it.
+            by_frame = -R @ _by_frame(-ground.middle_m)
+            by_frame[:, 6] += t
+            added = np.diag(by_frame @ ground.covariance @ by_frame.T)
             camera = replace(
-                camera, R=R, t=t, t_std=frame.scale * t_std, centre_covariance=covariance
+                camera,
+                R=R,
+                t=t,
+                r_std_deg=float(np.hypot(camera.r_std_deg, np.rad2deg(np.sqrt(turned)))),
+                t_std=np.sqrt((frame.scale * t_std) ** 2 + added),
+                centre_covariance=covariance + ground.added(np.asarray(-R.T @ t)),
             )
         cameras.append(camera)
-    paths = [path_of(answer.built[0], frame), *answer.paths[1:]]
-    return replace(answer, cameras=cameras, paths=paths)
+    held = path_of(answer.built[0], frame)
+    added = np.diagonal(ground.added(held.path.positions_m), axis1=1, axis2=2)
+    deviations_m = np.sqrt(np.asarray(held.path.deviations_m) ** 2 + added)
+    first = replace(held, path=replace(held.path, deviations_m=deviations_m))
+    return replace(answer, cameras=cameras, paths=[first, *answer.paths[1:]])
 
 
 def load_positions(file: Path) -> dict[int, Array]:

@@ -27,7 +27,7 @@ from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.pipeline.report import Rows, html_of, plain, text_of, vector
 from ssac.points import PointTrack
-from ssac.rules import GroundRules
+from ssac.rules import Rules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.track.moments import LEAST_VIEWS
 
@@ -200,7 +200,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         quanta_s = [quantum_s(chain.clean(k)) for k in range(len(chain))]
         answer = rounded_by(answer, quanta_s)
-        answer, ground = grounded(answer, known, chain.config.rules.ground)
+        answer, ground = grounded(answer, known, chain.config.rules)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or distance_m is not None
     names = tuple(chain.name(k) for k in range(len(chain)))
@@ -235,15 +235,15 @@ def solve_pairs(
 
 
 def grounded(
-    answer: NetworkAnswer, known: Known, rules: GroundRules
+    answer: NetworkAnswer, known: Known, rules: Rules
 ) -> tuple[NetworkAnswer, Ground | None]:
     """Transform an answer to the known frame, if one is known and there is any network."""
     if not answer.built:
         return answer, None
     if known.positions is not None:
-        ground = ground_of_positions(answer, known.positions, rules)
+        ground = ground_of_positions(answer, known.positions, rules.ground)
     elif known.rtk is not None:
-        ground = ground_of_rtk(answer, known.rtk, rules, known.lever_arm_m)
+        ground = ground_of_rtk(answer, known.rtk, rules.ground, rules.fit, known.lever_arm_m)
     else:
         return answer, None
     return in_frame(answer, ground), ground
@@ -265,7 +265,7 @@ def write_two(
     if trajectory is not None:
         chain = Chain(answer.cleans, answer.rig, answer.config)
         found = solve_pairs(chain, {(0, 1): answer}, distance_m)
-        found, ground = grounded(found, known, answer.config.rules.ground)
+        found, ground = grounded(found, known, answer.config.rules)
         if ground is not None:
             scale, in_metres = scale * ground.similarity.scale, True
         _write_paths(trajectory, found, in_metres, log)

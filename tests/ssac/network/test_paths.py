@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from ssac.clock import Clock
@@ -15,7 +16,7 @@ from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import solve_network
 from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import NetworkResult, write_many
-from ssac.rules import GroundRules
+from ssac.rules import FitRules, GroundRules
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, RULES, make_flight
 
@@ -343,7 +344,7 @@ def test_bad_input_is_one_line(tmp_path, args, reason):
 TO_GROUND = Similarity(
     1.0, Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix(), np.array([100.0, -50.0, 7.0])
 )
-GROUND = GroundRules()
+GROUND, FIT = GroundRules(), FitRules()
 TIMES_S = np.arange(0.0, DURATION_S, 0.2)
 
 
@@ -384,15 +385,55 @@ def write_positions(file, positions) -> None:
 def test_positions_give_metres_and_the_frame(solved, tmp_path):
     flight, answer = solved
     write_positions(tmp_path / "positions.csv", centres_m(flight))
-    found = in_frame(answer, ground_of_positions(answer, tmp_path / "positions.csv", GROUND))
+    ground = ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
+    found = in_frame(answer, ground)
     assert off_m(flight, found) < 0.05  # 9 mm of pixel noise, and errors of the cameras
     for camera, true in zip(found.cameras, centres_m(flight), strict=True):
         assert -camera.R.T @ camera.t == pytest.approx(true, abs=0.1)  # of 20 m, likewise
-    # Deviations are lengths: they grow with the scale, and no turn changes their sum of squares.
-    before = answer.paths[0].path.deviations_m
-    after = found.paths[0].path.deviations_m
-    scale = np.sqrt(np.sum(after**2) / np.sum(before**2))
+    # The path's own deviations are lengths: they grow with the scale, and no turn changes their sum
+    # of squares; those of the frame add to them.
+    before, path = answer.paths[0].path, found.paths[0].path
+    added = np.trace(ground.added(path.positions_m), axis1=1, axis2=2)
+    own = np.sum(path.deviations_m**2, axis=1) - added
+    scale = np.sqrt(np.sum(own) / np.sum(before.deviations_m**2))
     assert scale == pytest.approx(flight.distance_m, rel=0.01)  # the answer's unit
+
+
+def test_deviations_hold_in_a_known_frame(solved, tmp_path):
+    # Errors of stated places and of RTK, here far larger than the network's own, turn and move all.
+    (flight, answer), rng = solved, np.random.default_rng(0)
+    stated, rtk = tmp_path / "positions.csv", tmp_path / "rtk.tum"
+    path_m = TO_GROUND.apply(flight.path(TIMES_S))
+    found = list[np.ndarray]()
+    for _ in range(40):
+        write_positions(stated, centres_m(flight) + rng.normal(scale=0.2, size=(4, 3)))
+        white_m = rng.normal(scale=0.15, size=path_m.shape)
+        drift_m = lfilter([1.0], [1.0, -0.7], white_m, axis=0)  # which fades within 0.6 s
+        write_path(rtk, Path(TIMES_S, path_m + drift_m))
+        grounds = (
+            ground_of_positions(answer, stated, GROUND),
+            ground_of_rtk(answer, rtk, GROUND, FIT),
+        )
+        found += [np.stack([scores(flight, in_frame(answer, one)) for one in grounds])]
+    # Chance: 40 draws of about four independent errors leave 1 +- 0.06; Student's law, less.
+    rms = np.sqrt(np.mean(np.square(found), axis=0))
+    assert np.all((rms > 0.75) & (rms < 1.2))
+
+
+def scores(flight, answer) -> np.ndarray:
+    """Errors of each camera's centre, t and R, and of the path, in their deviations."""
+    path, found = answer.paths[0].path, list[float]()
+    for camera, true_m, (R, _) in zip(answer.cameras, centres_m(flight), flight.poses, strict=True):
+        off_m, R_true = camera.centre - true_m, R @ TO_GROUND.R.T
+        off_t = (camera.t + R_true @ true_m) / camera.t_std
+        turn = Rotation.from_matrix(camera.R @ R_true.T).magnitude()
+        found += [
+            np.sqrt(off_m @ np.linalg.solve(camera.centre_covariance, off_m) / 3.0),
+            np.sqrt(np.mean(off_t**2)),
+            np.rad2deg(turn) / camera.r_std_deg,
+        ]
+    off = (path.positions_m - TO_GROUND.apply(flight.path(path.times_s))) / path.deviations_m
+    return np.array([*found, np.sqrt(np.mean(off**2))])
 
 
 def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solved, tmp_path):
@@ -403,14 +444,14 @@ def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solve
     turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
     antenna_m = TO_GROUND.apply(flight.path(TIMES_S)) + turns.apply(arm_m)
     write_path(rtk, Path(TIMES_S + 77.7, antenna_m, quaternions=turns.as_quat()))
-    ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
+    ground = ground_of_rtk(answer, rtk, GROUND, FIT, arm_m)
     shown_s = float(ground.said.partition("its clock shows ")[2].split()[0])
     assert shown_s == pytest.approx(77.7, abs=0.01)  # 5 cm at some 5 m/s
     assert off_m(flight, in_frame(answer, ground)) < 0.05  # as with positions
-    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND))) > 0.1
+    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND, FIT))) > 0.1
     write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
     with pytest.raises(SsacError, match="lever arm turns with the body"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, arm_m)
+        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, FIT, arm_m)
 
 
 def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp_path):
@@ -457,4 +498,4 @@ def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
     ):
         write_path(tmp_path / "rtk.csv", Path(TIMES_S, path_m))
         with pytest.raises(SsacError, match=message):
-            ground_of_rtk(answer, tmp_path / "rtk.csv", rules)
+            ground_of_rtk(answer, tmp_path / "rtk.csv", rules, FIT)
