@@ -173,7 +173,7 @@ class NetworkAnswer:
         if len(self.built) > 1:
             names = [" ".join(seen.name for seen in one.network.cameras) for one in self.built]
             said.append(f"no pair connects {' with '.join(names)}: a solution for each")
-        said += [f"camera {c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
+        said += [f"{c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
         return "; ".join(said)
 
 

@@ -123,7 +123,7 @@ def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -
         estimate: Any = function(*given)
     except SsacError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # an exit of theirs is none of the user's
         frames = traceback.extract_tb(error.__traceback__)
         theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(home)]
         if theirs:  # the last line of that package in the traceback
@@ -173,7 +173,7 @@ def _method_from(entry: EntryPoint) -> Method:
     origin = _origin(entry)
     try:
         found = entry.load()
-    except Exception as error:  # whatever the import of someone else's code may raise
+    except (Exception, SystemExit) as error:  # whatever the import of someone else's code may raise
         raise SsacError(f"{origin}: {type(error).__name__}: {error}") from error
     if not _NAME.fullmatch(entry.name):
         raise SsacError(f"{origin}: a method's name must match {_NAME.pattern}")

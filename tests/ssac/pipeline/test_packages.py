@@ -118,6 +118,7 @@ NO_FUNCTION = "expected a function of"
 BROKEN = {
     "a missing module": ("import no_such_module", "ModuleNotFoundError"),
     "an error of its own": ("1 / 0", "ZeroDivisionError: division by zero"),
+    "an exit": ("raise SystemExit(0)", "SystemExit: 0"),
     "a missing name": ("", "AttributeError"),
     "no function": ("f = 3", f"{NO_FUNCTION} .* got int"),
     "other arguments": ("def f(a, b): pass", NO_FUNCTION),
@@ -148,6 +149,7 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
     ("returned", "message"),
     [
         ("0.25", "must return an Estimate, got float"),
+        ("exit(0)", r"SystemExit: 0 \(.*careless\.py, line \d"),  # no success of the command's
         ('Estimate("mine")', 't_d_s = nan with status "ok"'),
         ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
         ('Estimate("mine", t_d_s=np.zeros(1))', r"t_d_s of shape \(1,\): give one number"),
