@@ -398,13 +398,16 @@ def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     stands = vector(-camera.R.T @ camera.t, 3)
     turn_deg = np.degrees(Rotation.from_matrix(camera.R).magnitude())
     used = f"{camera.n_samples} of {camera.n_seen} sightings used, {camera.rms_px:.2f} px"
+    turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
+    placed = f"at {stands}{unit}, {turned}; {used}"
     if not camera.t_d_std_s > 0.0:
-        return [(camera.name, f"the first of group {camera.group}"), ("", used)]
+        in_own_frame = not camera.t.any()
+        rows = [(camera.name, f"the first of group {camera.group}")]
+        return [*rows, ("", used if in_own_frame else placed)]
     offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"
     skew = f"skew {camera.skew_ppm:+.1f} ppm, 1 sigma {camera.skew_std_ppm:.1f}"
-    turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     rows = [(camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}")]
     if len(camera.knots_s):
         then_ms = 1e3 * camera.clock.stray_at_ref_s
         rows.append(("", f"for a straight line, from which it strays by {then_ms:+.2f} ms then"))
-    return [*rows, ("", f"at {stands}{unit}, {turned}; {used}")]
+    return [*rows, ("", placed)]

@@ -466,7 +466,8 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
     paths = [value for name, value in result.rows() if name.startswith("path ")]
     assert [value.partition("), ")[2] for value in paths] == [metres, unknown]
     stand = [value for _, value in result.rows() if value.startswith("at (")]
-    assert [") m, turned" in value for value in stand] == [True, True, False]
+    # All of group 1, whose first camera is not at its frame's origin, and the last of group 2.
+    assert [") m, turned" in value for value in stand] == [True, True, True, False]
     assert [group["scale_is_known"] for group in result.to_dict()["groups"]] == [True, False]
     write_many(result, tmp_path / "path.csv", None, log.append)
     assert [f" {metres}," in line for line in log] == [True, False]
