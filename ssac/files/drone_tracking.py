@@ -9,12 +9,14 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import numpy as np
 import yaml
 
 from ssac.arrays import Array
+from ssac.camera import Camera, check_camera
 from ssac.errors import SsacError
 from ssac.files.damage import is_number, readable
 from ssac.files.track_files import save_track
@@ -58,6 +60,9 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
         rows = _LINE.findall(listing.read_text(encoding="utf-8"))
     if not rows:
         raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
+    numbers = [k for k, _ in rows]
+    if len(set(numbers)) < len(numbers):
+        raise SsacError(f"{listing}: cam{mode(numbers)} is there twice: leave one out")
     number = re.search(r"\d+$", folder.resolve().name)
     if number is None:
         raise SsacError(
@@ -108,6 +113,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
             f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
             f"({type(error).__name__}: {error}): get the file again"
         ) from error
+    check_camera(Camera(K, width, height, "radtan", tuple(coeffs)), str(path))
     entry = {
         "camera_model": "pinhole",
         "intrinsics": [fu, fv, pu, pv],
@@ -127,6 +133,8 @@ def _detections(path: Path) -> tuple[Array, Array]:
         if rows and not is_number(rows[0][0]):
             rows = rows[1:]
         table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        if not np.isfinite(table[:, 0]).all():
+            raise ValueError("a frame's number is not finite")
     except (OSError, ValueError) as error:
         raise SsacError(
             f"{path}: expected lines `frame x y` ({error}): get the file again"

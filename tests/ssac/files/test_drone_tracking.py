@@ -123,6 +123,8 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
     ("name", "text", "message"),
     [
         ("cameras.txt", "nothing", "expected lines like"),
+        ("cameras.txt", "cam0 - phone\ncam0 - phone\n", "cam0 is there twice"),
+        ("detections/cam0.txt", "inf 5 5\n", "a frame's number is not finite"),
         ("detections/cam0.txt", "1 2 three\n", "expected lines `frame x y`"),
         ("detections/cam0.txt", "1 0 0\n", "the object is seen in no frame"),
         ("detections/cam0.txt", "1 5 5\n1 9 9\n", "rows must be in time order"),
@@ -130,6 +132,11 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         ("../calibration/phone/phone.json", "{}", "expected a calibration"),
         ("../calibration/phone/phone.json", calibrated(fps=0), "0 frames a second"),
         ("../calibration/phone/phone.json", calibrated(resolution=[346]), "not enough values"),
+        (
+            "../calibration/phone/phone.json",
+            calibrated(resolution=[1, 1]),
+            "no camera's of 1 x 1 px",
+        ),
     ],
 )
 def test_a_bad_data_set_is_one_line(data, tmp_path, name, text, message):
