@@ -69,6 +69,11 @@ class Rig:
     in_metres: bool = True  # False: T_2_1 is in an unknown unit, as the distance between cameras
 
     @property
+    def is_exact(self) -> bool:
+        """Whether all intrinsics are stated to be exact."""
+        return not any(self.cam1.intrinsics_std_px) and not any(self.cam2.intrinsics_std_px)
+
+    @property
     def unposed(self) -> "Rig":
         """The same cameras without the pose, for a method that is not given it."""
         return Rig(self.cam1, self.cam2)

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from ssac.arrays import Array
-from ssac.camera import Camera, Rig, distort_points
+from ssac.camera import Camera, Rig, distort_points, with_deviations
 from ssac.fit.covariance import repeats
 from ssac.fit.least_squares import (
     FIRST_COLUMN,
@@ -145,6 +145,20 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
         K, axis = Ks[one.camera], one.place % 2
         K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
     return Ks[0], Ks[1]
+
+
+def questioned(residuals: Residuals) -> Residuals:
+    """Let intrinsics that a rig states as exact be those of a good calibration instead."""
+    problem, rig = residuals.problem, residuals.problem.rig
+    if problem.pose_is_known or not rig.is_exact:
+        return residuals
+    good = replace(rig, cam1=with_deviations(rig.cam1), cam2=with_deviations(rig.cam2))
+    ones, columns = uncertain_ones(good), columns_of(replace(problem, rig=good))
+    of_cameras = [Prior(problem.size + k, 0.0, one.deviation) for k, one in enumerate(ones)]
+    columns, priors = (*problem.columns, *columns), (*problem.priors, *of_cameras)
+    values = np.append(residuals.parameters.columns, np.zeros(len(ones)))
+    parameters = replace(residuals.parameters, columns=values)
+    return linearise(replace(problem, rig=good, columns=columns, priors=priors), parameters)
 
 
 def evidence(residuals: Residuals, hidden_px: Array) -> float:

@@ -14,7 +14,14 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
-from ssac.fit.intrinsics import Allowance, evidence, intrinsics_of, turned_by_focals, wanted
+from ssac.fit.intrinsics import (
+    Allowance,
+    evidence,
+    intrinsics_of,
+    questioned,
+    turned_by_focals,
+    wanted,
+)
 from ssac.fit.least_squares import Parameters, Problem, Residuals, Solution, WeighedPairs, linearise
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import homography_poses, rays_of
@@ -134,11 +141,11 @@ class Refinement(ABC):
         fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
         Ks = intrinsics_of(problem, parameters)
         F = fundamental_from_pose(*Ks, parameters.R, parameters.t)
-        rules = self.rules.verdict
-        against = evidence(residuals, hidden_px)
+        rules, asked = self.rules.verdict, questioned(residuals)
+        against = evidence(asked, hidden_px)
         if against > rules.in_doubt and self._is_flat(residuals):
             against = 0.0  # any intrinsics fit a path in a plane, each with its pose
-        misfit = wanted(residuals) if against > rules.in_doubt else ""
+        misfit = wanted(asked) if against > rules.in_doubt else ""
         return replace(
             fitted,
             F=F / np.linalg.norm(F),
@@ -152,7 +159,14 @@ class Refinement(ABC):
             against=against,
             against_skew=self.model.against(residuals, hidden_px),
             misfit=misfit,
-            doubt=doubt(residuals.distances_px, self.size_px, rules, against, misfit),
+            doubt=doubt(
+                residuals.distances_px,
+                self.size_px,
+                rules,
+                against,
+                misfit,
+                self.views.rig.is_exact,
+            ),
         )
 
 

@@ -81,13 +81,14 @@ def doubt(
     rules: VerdictRules,
     against_intrinsics: float = 0.0,
     misfit: str = "",
+    is_exact: bool = False,
 ) -> str:
     """Say what is unusual in the last step of a fit; empty where nothing is.
 
     With one object, most pairs lie within a small part of its size from their epipolar lines, and
     the few others not far beyond. A second moving thing pulls the positions away for a while: then
     those others lie far out, or all pairs do. Distances (n,) are weighted; the evidence against the
-    intrinsics, and the `misfit`, are those of `ssac.fit.intrinsics`.
+    intrinsics, and the `misfit`, are those of `ssac.fit.intrinsics`, for a rig that `is_exact` too.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -101,10 +102,11 @@ def doubt(
             " objects or times, a clock jumps, or the calibration is of other cameras; record one"
             " object by itself, record one flight with both cameras, or calibrate again"
         )
-    if against_intrinsics > rules.max_against:
+    if against_intrinsics > (rules.max_against_exact if is_exact else rules.max_against):
+        whose = "a good calibration's" if is_exact else "their stated"
         which = f": {misfit}" if misfit else ""
         return (
-            f"other intrinsics fit better, {against_intrinsics:.1f} of their stated deviations from"
+            f"other intrinsics fit better, {against_intrinsics:.1f} of {whose} deviations from"
             f" the rig's{which}; calibrate again, or state larger ones (intrinsics_std,"
             " --focal-std, --centre-std)"
         )

@@ -44,13 +44,19 @@ LONG_TAILED = 0.02 * np.clip(np.random.default_rng(1).standard_cauchy(2000), -40
         (normal(1.1), 0.5 * OBJECT_PX, 0.0, "far for an object of 5.0 px rms"),
         (ONE_IN_TEN_FAR_OUT, OBJECT_PX, 0.0, "something else moves in view"),
         (normal(0.3), OBJECT_PX, 3.9, ""),
-        (normal(0.3), OBJECT_PX, 4.1, "from the rig's; calibrate again"),
+        (normal(0.3), OBJECT_PX, 4.1, "4.1 of their stated deviations from the rig's; calibrate"),
     ],
 )
 def test_what_is_not_ordinary_is_said(distances_px, object_px, against, words):
     said = doubt(distances_px, object_px, RULES, against)
     assert words in said
     assert bool(said) == bool(words)
+
+
+def test_less_evidence_is_enough_against_a_rig_that_states_exact_intrinsics():
+    assert not doubt(normal(0.3), OBJECT_PX, RULES, 2.9, is_exact=True)
+    said = doubt(normal(0.3), OBJECT_PX, RULES, 3.1, "this", is_exact=True)
+    assert "3.1 of a good calibration's deviations from the rig's: this; calibrate again" in said
 
 
 def with_deviations(t_d_std_s=1e-3, **turns_deg):

@@ -21,6 +21,7 @@ from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import (
     CAMERA,
+    EXACT_PX,
     HEIGHT,
     WIDTH,
     clocked,
@@ -124,6 +125,13 @@ def test_no_wrong_focal_length_is_believed_and_a_large_error_is_named(events, sh
     assert said in result.note
 
 
+@pytest.mark.parametrize("share", [0.05, -0.1])
+def test_nor_is_a_wrong_one_that_the_rig_states_as_exact(events, share):
+    result = ssac.sync(*events, [replace(longer(share), intrinsics_std_px=EXACT_PX), CAMERA])
+    assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
+    assert "what is seen contradicts the rig: " in result.note
+
+
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     result = ssac.sync(*events, [longer(0.6), UNSTATED])
     assert result.status == Status.DEGENERATE_POSE
@@ -131,9 +139,10 @@ def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to within a few
 
 
-def test_exchanged_intrinsics_are_named_beside_the_offset():
+@pytest.mark.parametrize("std_px", [None, EXACT_PX])
+def test_exchanged_intrinsics_are_named_beside_the_offset(std_px):
     scene = replace(SCENE, cam2=longer(0.6))
-    exchanged = [longer(0.6), UNSTATED]
+    exchanged = [replace(one, intrinsics_std_px=std_px) for one in (longer(0.6), UNSTATED)]
     result = ssac.sync(*make_events(scene, 1, T_D_S, 20_000.0, 0.1), exchanged)
     assert result.status == Status.DEGENERATE_POSE
     assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
@@ -150,6 +159,8 @@ def test_intrinsics_in_doubt_widen_the_deviations(events, right):
 @pytest.mark.parametrize(
     ("status", "against", "states", "n"),
     [
+        (Status.OK, 2.9, "exact", 0),
+        (Status.OK, 3.1, "exact", 3),
         (Status.OK, 1.9, False, 0),
         (Status.OK, 2.1, False, 3),
         (Status.OK, 3.9, True, 0),
@@ -163,6 +174,7 @@ def test_intrinsics_in_doubt_widen_the_deviations(events, right):
 def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, states, n):
     known = with_deviations(CAMERA, 0.001, 25.0) if states else UNSTATED
     rig = Rig(UNSTATED, known, np.eye(4), in_metres=False)
+    rig = Rig(CAMERA, CAMERA, np.eye(4), in_metres=False) if states == "exact" else rig
     found = Estimate("joint", status, "why", against=against)
     rigs = [rig, *(one for one, _ in less_certain(rig, found, VerdictRules()))]
     assert len(rigs) == 1 + n
