@@ -11,7 +11,7 @@ from experiments.lab.score import Truth
 from experiments.studies import imperfect, requirements
 from experiments.studies.imperfect import ImperfectRow
 from experiments.studies.requirements import RequiredCell, RequiredRow
-from experiments.worlds.spoilt import SCENES, T_D_S, KindCell
+from experiments.worlds.spoilt import RIGHT, SCENES, T_D_S, KindCell
 from sim.recording import SimConfig
 from ssac.estimate import Estimate
 from tests.experiments.reported import DURATION_S, SCENE, T, flown, joint_estimate
@@ -71,10 +71,15 @@ def test_the_ends_are_where_the_clock_says() -> None:
     assert not requirements.ends_of(replace(found, status="no_match"), truth)
 
 
-def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate() -> None:
+def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     shared, of_flight = Flown(lambda _: flown(), SEED), (SIM, 0, SEED)
-    kinds = ("nothing", *[*requirements.UNSTATED][:1], "20 s, clocks alike, no skew looked for")
-    right, wrong, no_skew = (
+    both, fv = "focal lengths of both cameras 1 % long", "fv of one camera 1 % long"
+    kinds = ("nothing", both, fv, "20 s, clocks alike, no skew looked for")
+    far = replace(requirements.KINDS[fv].kind, errors=((0.0, 0.15, 0.0, 0.0), RIGHT))
+    monkeypatch.setitem(requirements.KINDS, fv, replace(requirements.KINDS[fv], kind=far))
+    right, wrong, noticed, no_skew = (
         requirements.required_row(RequiredCell(*of_flight, kind, SEED + 1), shared)
         for kind in kinds
     )
@@ -85,6 +90,8 @@ def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate() -> None:
     assert 0.05 < wrong.r_moved_deg < 2.0
     assert wrong.t_d_moved_ms < 3.0 * right.t_d_std_ms
     assert wrong.t_d_error_ms == pytest.approx(right.t_d_error_ms, abs=wrong.t_d_moved_ms + 1e-9)
+    # 15 % would be noticed, and leave the pose open, if the rig were not taken as exact here.
+    assert (noticed.status, noticed.pose_given) == ("ok", True)
     assert no_skew.status == "ok", no_skew.reason
     assert np.isnan(no_skew.skew_normalised)  # it has no deviation
     assert np.isfinite(no_skew.ends_normalised)
