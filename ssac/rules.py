@@ -383,8 +383,8 @@ class VerdictRules:
     small_px: float = 0.2  # ... so many px, plus ...
     small_share: float = 0.06  # ... this share of the object's rms size
     # From the rig's intrinsics to the best ones, in deviations: 3.7 at most of 33 pairs of phones.
+    # Where it states 0, in those of a good calibration: 2.7 at most of 137 right ones.
     max_against: float = 4.0
-    max_against_exact: float = 3.0  # the same of a rig that states exact ones, as if it were good
     in_doubt: float = 2.0  # the same from which a rig that states no deviations is in doubt
     # Deviations of a rig in doubt, by 75 such of `ssac by-hand`, bases 200 and 300, and 40 of
     # `reasons`: of a careless calibration, or so many times those where more speaks against it.

@@ -202,7 +202,7 @@ def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:
     if required.skew_prior_ppm is not None:
         config = replace(config, skew_prior_ppm=required.skew_prior_ppm)
     if cell.kind in UNSTATED:  # what these do to an estimate that does not question them
-        verdict = replace(config.rules.verdict, max_against_exact=1e3)
+        verdict = replace(config.rules.verdict, max_against=1e3)
         config = replace(config, rules=replace(config.rules, verdict=verdict))
     start_s = time.process_time()
     estimate = pair.chain(config).estimate(METHOD)

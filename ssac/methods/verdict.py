@@ -102,7 +102,7 @@ def doubt(
             " objects or times, a clock jumps, or the calibration is of other cameras; record one"
             " object by itself, record one flight with both cameras, or calibrate again"
         )
-    if against_intrinsics > (rules.max_against_exact if is_exact else rules.max_against):
+    if against_intrinsics > rules.max_against:
         whose = "a good calibration's" if is_exact else "their stated"
         which = f": {misfit}" if misfit else ""
         return (

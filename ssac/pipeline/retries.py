@@ -218,8 +218,7 @@ def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
 def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tuple[Rig, float]]:
     """Yield a doubtful rig with larger deviations, and the limit of `against` for each."""
     states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
-    most = rules.max_against if states else rules.in_doubt
-    is_in_doubt = found.against > (rules.max_against_exact if rig.is_exact else most)
+    is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
     is_in_doubt |= found.status == Status.POOR_FIT and not states
     if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
         return

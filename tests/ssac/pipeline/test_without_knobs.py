@@ -159,8 +159,8 @@ def test_intrinsics_in_doubt_widen_the_deviations(events, right):
 @pytest.mark.parametrize(
     ("status", "against", "states", "n"),
     [
-        (Status.OK, 2.9, "exact", 0),
-        (Status.OK, 3.1, "exact", 3),
+        (Status.OK, 3.9, "exact", 0),
+        (Status.OK, 4.1, "exact", 3),
         (Status.OK, 1.9, False, 0),
         (Status.OK, 2.1, False, 3),
         (Status.OK, 3.9, True, 0),
