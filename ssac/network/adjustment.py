@@ -173,6 +173,14 @@ def _free(network: Network, with_intrinsics: bool) -> IntArray:
     return np.array(sorted(free), dtype=np.int64)
 
 
+def _rescaled(network: Network) -> Network:
+    """Scale cameras and path to the known distance, off which straight steps lead."""
+    scale = network.distance / float(np.linalg.norm(network.states[1].t))
+    states = [replace(state, t=scale * state.t) for state in network.states]
+    path = replace(network.path, coefficients=scale * network.path.coefficients)
+    return replace(network, states=states, path=path)
+
+
 def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved]:
     """Take damped steps while they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
@@ -183,7 +191,7 @@ def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved
             steps = np.split(solved.border, border_offsets(network)[1:-1])
             moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
             path = replace(network.path, coefficients=network.path.coefficients + solved.path)
-            tried = replace(network, states=moved, path=path)
+            tried = _rescaled(replace(network, states=moved, path=path))
             other, tried_cost = _normal(tried)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break

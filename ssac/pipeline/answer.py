@@ -40,6 +40,7 @@ class Answer:
     start: Start | None = None  # result of a search over all offsets, if there was one
     clock: str = ""  # kind of camera 2's clock, "fast" or "pieces", where the usual one did not fit
     misfit: str = ""  # what in the rig seems wrong, where its deviations were enlarged
+    less_certain: Rig | None = None  # the rig with these deviations
     distance_m: float | None = None  # between the cameras, where it was stated
     of_start: str = ""  # why the estimate is that of `method.starts_from`; empty if it is not
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran

@@ -327,7 +327,8 @@ class Chain:
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
         of_start = retries.TINY if pair.method.keeps(views) else ""
         answer = self._answer(pair, found)
-        return replace(answer, clock=clock, misfit=misfit, of_start=of_start)
+        tried = pair.rig if misfit else None
+        return replace(answer, clock=clock, misfit=misfit, less_certain=tried, of_start=of_start)
 
     def _run(self, pair: _Pair) -> Estimate:
         """Run a method, after those it starts from; put the estimate on camera 2's own clock."""

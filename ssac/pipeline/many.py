@@ -1,6 +1,6 @@
 """Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -353,9 +353,9 @@ def short_names(names: Sequence[str]) -> list[str]:
 def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Sightings:
     """Return a camera's sightings of the object; none where its events show no object."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
-    rules = chain.config.rules.points
+    rules, camera = chain.config.rules.points, as_doubted(k, clean.camera, pairs)
     if clean.track is not None:
-        return sightings(clean.track, clean.camera, name, clean.has_track, rules)
+        return sightings(clean.track, camera, name, clean.has_track, rules)
     try:
         if len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
             shaped = ShapedTrack(track_of_events(clean, chain.config), None)
@@ -365,7 +365,26 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     shapes = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, clean.camera, name, clean.has_track, rules, *shapes)
+    return sightings(shaped.track, camera, name, clean.has_track, rules, *shapes)
+
+
+def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:
+    """Enlarge a camera's deviations if it is in all pairs that contradict their rig.
+
+    If no camera is in all of these, any of theirs may be wrong.
+    """
+    rigs = {pair: answer.less_certain for pair, answer in pairs.items() if answer.less_certain}
+    if not any(k in pair for pair in rigs):
+        return camera
+    in_all = set[int]().union(*rigs).intersection(*rigs)
+    if in_all and k not in in_all:
+        return camera
+    stds_px = [
+        (rig.cam1, rig.cam2)[pair.index(k)].intrinsics_std_px
+        for pair, rig in rigs.items()
+        if k in pair
+    ]
+    return replace(camera, intrinsics_std_px=max(stds_px))
 
 
 _NUMBERS = (

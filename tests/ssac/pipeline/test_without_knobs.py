@@ -1,6 +1,7 @@
 """Retries without any option: far or fast clocks, few events, noise, and a wrong rig."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import tangency
 from ssac.pipeline.answer import Answer
+from ssac.pipeline.many import as_doubted
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.points import PointTrack
@@ -19,6 +21,8 @@ from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
+from tests.ssac.network.flights import CAMERA as OF_FLIGHTS
+from tests.ssac.network.flights import make_flight
 from tests.ssac.synthetic import (
     CAMERA,
     EXACT_PX,
@@ -130,6 +134,39 @@ def test_nor_is_a_wrong_one_that_the_rig_states_as_exact(events, share):
     result = ssac.sync(*events, [replace(longer(share), intrinsics_std_px=EXACT_PX), CAMERA])
     assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
     assert "what is seen contradicts the rig: " in result.note
+
+
+def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right():
+    flight, share = make_flight(3, noise_px=0.1), 0.1
+    K = OF_FLIGHTS.K.copy()
+    K[:2, :2] *= 1.0 + share
+    tracks = [PointTrack(seen.times_s, seen.points_px) for seen in flight.seen]
+    found = ssac.sync(tracks, [OF_FLIGHTS, replace(OF_FLIGHTS, K=K), OF_FLIGHTS])
+    assert found.status == Status.OK
+    focal = [state.focal for state in found.network.built[0].network.states]
+    assert focal[1] == pytest.approx(1.0 / (1.0 + share) - 1.0, abs=0.005)  # 5 of its deviations
+    assert not np.any([focal[0], focal[2]])
+    for camera, (R, t) in zip(found.cameras[1:], flight.poses[1:], strict=True):
+        assert rotation_angle_deg(camera.R, R) < 4.0 * camera.r_std_deg < 0.4
+        assert np.all(np.abs(camera.t - t / flight.distance_m) < 4.0 * camera.t_std)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "doubted"),
+    [
+        ([], []),
+        ([(0, 1)], [0, 1]),
+        ([(0, 1), (1, 2)], [1]),
+        ([(0, 1), (2, 3)], [0, 1, 2, 3]),
+    ],
+)
+def test_a_network_doubts_the_camera_that_all_contradicted_pairs_share(pairs, doubted):
+    rig = Rig(*[with_deviations(CAMERA, 0.03, 10.0)] * 2)
+    answers = {pair: SimpleNamespace(less_certain=rig) for pair in pairs}
+    answers[0, 3] = SimpleNamespace(less_certain=None)
+    cameras = [as_doubted(k, CAMERA, answers) for k in range(4)]
+    assert [k for k, camera in enumerate(cameras) if camera != CAMERA] == doubted
+    assert all(cameras[k].intrinsics_std_px == (6.0, 6.0, 10.0, 10.0) for k in doubted)
 
 
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
