@@ -363,6 +363,9 @@ class FitRules:
     # Components of the errors' correlation: white noise, and what fades in three times [s]. Stated
     # deviations have no more degrees of freedom than the recording has longest times.
     fading_s: tuple[float, float, float] = (0.05, 0.2, 0.8)
+    # Least distance of the epipole from the positions' middle, in their rms spread, with which
+    # exact intrinsics are questioned: less on 4 flights before cameras that face each other.
+    least_from_epipole: float = 0.25
     least_curvature: float = 0.25  # of the loss in any direction, as a share of the mean
     least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
     least_common: float = 0.5  # least factor by which common errors lessen a variance

@@ -148,9 +148,18 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
 
 
 def questioned(residuals: Residuals) -> Residuals:
-    """Let intrinsics that a rig states as exact be those of a good calibration instead."""
+    """Let intrinsics that a rig states as exact be those of a good calibration instead.
+
+    Not where the cameras look at each other across the object: about an epipole, the object's own
+    bias has the effect of a wrong principal point.
+    """
     problem, rig = residuals.problem, residuals.problem.rig
     if problem.pose_is_known or not rig.is_exact:
+        return residuals
+    points_px, epipole = residuals.p1_px, np.linalg.svd(residuals.F)[2][-1]
+    off_px = np.linalg.norm(epipole[2] * np.mean(points_px, axis=0) - epipole[:2])
+    spread_px = abs(epipole[2]) * np.linalg.norm(np.std(points_px, axis=0))
+    if off_px < problem.rules.least_from_epipole * spread_px:
         return residuals
     good = replace(rig, cam1=with_deviations(rig.cam1), cam2=with_deviations(rig.cam2))
     ones, columns = uncertain_ones(good), columns_of(replace(problem, rig=good))

@@ -174,7 +174,11 @@ def _free(network: Network, with_intrinsics: bool) -> IntArray:
 
 
 def _rescaled(network: Network) -> Network:
-    """Scale cameras and path to the known distance, off which straight steps lead."""
+    """Scale cameras and path to the known distance, off which long straight steps lead.
+
+    Cameras turn far where focal lengths turn out to be others. Without such, steps of a bad start
+    are safer for being damped by that distance.
+    """
     scale = network.distance / float(np.linalg.norm(network.states[1].t))
     states = [replace(state, t=scale * state.t) for state in network.states]
     path = replace(network.path, coefficients=scale * network.path.coefficients)
@@ -185,13 +189,15 @@ def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved
     """Take damped steps while they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
     damping, least_damping = 0.0, 1e-4
+    are_free = any(np.isin(offset + layout.FOCAL.start, free) for offset in border_offsets(network))
     for _ in range(network.rules.steps):
         for _ in range(6):
             solved = solve(normal, free, damping)
             steps = np.split(solved.border, border_offsets(network)[1:-1])
             moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
             path = replace(network.path, coefficients=network.path.coefficients + solved.path)
-            tried = _rescaled(replace(network, states=moved, path=path))
+            tried = replace(network, states=moved, path=path)
+            tried = _rescaled(tried) if are_free else tried
             other, tried_cost = _normal(tried)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break

@@ -260,6 +260,22 @@ def test_evidence_against_the_intrinsics():
         assert intrinsics.evidence(residuals, UNHIDDEN) < 3.5
 
 
+def test_exact_intrinsics_are_questioned_unless_the_cameras_face_each_other():
+    rig = rig_of(0.0, 0.0, fu=0.03)
+    problem = problem_of(rig, 0.1)
+    residuals = linearise(problem, solve(problem, TRUTH).parameters)
+    asked = intrinsics.questioned(residuals)
+    assert intrinsics.evidence(asked, UNHIDDEN) > 3.5
+    assert "camera 1's focal length wants to be" in intrinsics.wanted(asked)
+    # Move the epipole, where F' vanishes, into the middle of the positions.
+    middle = np.append(np.mean(residuals.p1_px, axis=0), 1.0)
+    across = np.eye(3) - np.outer(middle, middle) / (middle @ middle)
+    facing = replace(residuals, F=residuals.F @ across)
+    assert intrinsics.questioned(facing) is facing
+    good = fitted(problem_of(rig_of(0.001, 0.3), 0.1))
+    assert intrinsics.questioned(good) is good
+
+
 def test_what_a_clock_strays_unseen_makes_no_prior_heavy():
     """The data leave strays within a gap open; each mode spans all times, also those of the gap."""
     pairs, kept = pairs_of(TIMES_S, 0.3, 0), np.abs(SINCE_S) >= 0.2 * np.ptp(TIMES_S)
