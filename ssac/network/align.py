@@ -89,6 +89,16 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
     return Similarity(scale, R, middle_target - scale * R @ middle)
 
 
+def by_similarity(arms: Array) -> Array:
+    """Return derivatives (..., 3, 7) of points by turn, shift and log of scale about their middle.
+
+    `arms` (..., 3) lead to the points from their middle.
+    """
+    turns = np.swapaxes(np.cross(np.eye(3), arms[..., None, :]), -1, -2)
+    shifts = np.broadcast_to(np.eye(3), turns.shape)
+    return np.concatenate([turns, shifts, arms[..., None]], axis=-1)
+
+
 class InTime:
     """A path as a function of time: a curve and its gaps."""
 
@@ -325,10 +335,7 @@ def _stepped(
     J = np.zeros((len(times_s), 3, 9))
     J[:, :, 0] = -moving  # the truth's clock shows more: an earlier point of the estimate
     J[:, :, 1] = -moving * (times_s - clock.t_ref_s)[:, None]
-    for k, axis in enumerate(np.eye(3)):
-        J[:, :, 2 + k] = np.cross(axis, arm)
-        J[:, k, 5 + k] = 1.0
-    J[:, :, 8] = arm
+    J[:, :, 2:] = by_similarity(arm)
     free = np.ones(9, bool)
     free[1], free[8] = rate_std_ppm > 0.0, with_scale
     normal = np.einsum("n,nik,nim->km", weights, J, J)

@@ -10,8 +10,7 @@ from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.damage import check_is_file, readable
 from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
-from ssac.geometry.epipolar import cross_matrix
-from ssac.network.align import Similarity, similarity
+from ssac.network.align import Similarity, by_similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
@@ -31,16 +30,8 @@ class Ground:
 
     def added(self, points_m: Array) -> Array:
         """Covariances (..., 3, 3) [m^2] that the frame's own errors give points (..., 3) [m]."""
-        by_frame = _by_frame(points_m - self.middle_m)
+        by_frame = by_similarity(points_m - self.middle_m)
         return np.asarray(by_frame @ self.covariance @ np.swapaxes(by_frame, -1, -2))
-
-
-def _by_frame(arms_m: Array) -> Array:
-    """Differentiate points, at arms (..., 3) from the middle, by turn, shift and log of scale."""
-    turns = -np.stack([cross_matrix(arm_m) for arm_m in arms_m.reshape(-1, 3)])
-    turns = turns.reshape(*arms_m.shape, 3)
-    shifts = np.broadcast_to(np.eye(3), turns.shape)
-    return np.concatenate([turns, shifts, arms_m[..., None]], axis=-1)
 
 
 def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
@@ -60,7 +51,7 @@ def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -
         )
     middle_m = np.asarray(np.mean(there, axis=0))
     freedom = 3 * len(there) - 7
-    J = _by_frame(there - middle_m).reshape(-1, 7)
+    J = by_similarity(there - middle_m).reshape(-1, 7)
     deviation_m = student_factor(freedom) * float(np.sqrt(np.sum(off_m**2) / freedom))
     covariance = np.asarray(deviation_m**2 * np.linalg.inv(J.T @ J), np.float64)
     said = f"cameras stand within {rms_m:.3f} m of their given positions"
@@ -97,7 +88,7 @@ def ground_of_rtk(
     middle_m = np.mean(laid_m, axis=0)
     moving_m_s = np.gradient(laid_m, times_s, axis=0)[..., None]  # its clock is fitted as well
     by_clock = [moving_m_s, moving_m_s * (times_s - np.mean(times_s))[:, None, None]]
-    J = np.concatenate([_by_frame(laid_m - middle_m), *by_clock], axis=2)
+    J = np.concatenate([by_similarity(laid_m - middle_m), *by_clock], axis=2)
     n, p = len(J), J.shape[2]
     covariance = correlated_covariance(
         np.tile(times_s, 3),
@@ -154,7 +145,7 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
             t = frame.scale * t - R @ frame.t
             turned = np.trace(ground.covariance[:3, :3])
             # t is the place of the frame's origin, as the camera sees it.
-            by_frame = -R @ _by_frame(-ground.middle_m)
+            by_frame = -R @ by_similarity(-ground.middle_m)
             by_frame[:, 6] += t
             added = np.diag(by_frame @ ground.covariance @ by_frame.T)
             camera = replace(
