@@ -374,10 +374,8 @@ def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:
     If no camera is in all of these, any of theirs may be wrong.
     """
     rigs = {pair: answer.less_certain for pair, answer in pairs.items() if answer.less_certain}
-    if not any(k in pair for pair in rigs):
-        return camera
-    in_all = set[int]().union(*rigs).intersection(*rigs)
-    if in_all and k not in in_all:
+    anywhere = set[int]().union(*rigs)
+    if k not in (anywhere.intersection(*rigs) or anywhere):
         return camera
     stds_px = [
         (rig.cam1, rig.cam2)[pair.index(k)].intrinsics_std_px
