@@ -92,6 +92,9 @@ class ObjectMotion:
     max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border
     gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as in `Clean`
     bare: "ObjectMotion | None" = None  # without the events on a thin line, if any
+    sharp: dict[bytes, SharpTrack] = field(  # kept, by their times; copies start with none
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -165,6 +168,12 @@ class ObjectMotion:
         of a pixel, each weighted by the square root of its count: the result lies between the mean
         and the centre of the image's area. Valid as in `at`, but invalid and NaN without velocity.
         """
+        key = times_s.tobytes()
+        if key not in self.sharp:  # poses that are tried at one offset ask for the same times
+            self.sharp[key] = self._sharp_at(times_s)
+        return self.sharp[key]
+
+    def _sharp_at(self, times_s: Array) -> SharpTrack:
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
         positions, sizes = np.full((len(times_s), 2), np.nan), np.full(len(times_s), np.nan)

@@ -246,6 +246,8 @@ def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
     assert np.allclose(track.positions_px[0], [(2 * 100 + 110) / 3, 50.0], atol=0.01)
     assert track.sizes_px[0] == pytest.approx(10.0 * np.sqrt(2.0 / 9.0))
     assert track.valid[0]
+    assert motion.sharp_at(MIDDLE_S.copy()) is track
+    assert not motion.sampled_by(WINDOWS, n_min=801).sharp_at(MIDDLE_S).valid[0]  # other rules
 
 
 def test_sharp_images_do_not_move():
