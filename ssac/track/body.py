@@ -23,7 +23,7 @@ from ssac.track.moments import LEAST_VIEWS, nearest
 
 Images = NDArray[np.float32]
 Voxels = tuple[Array, Array, float]
-"""Voxels (m, 3) in the body's frame, their optical depths (m,) and their width."""
+"""Voxels (3, m) in the body's frame, their optical depths (m,) and their width."""
 
 Drawn = tuple[Images, Array, Array, Array, Array]
 """Data of n images: the covered share of each pixel (n, w, w), the first pixels' positions from the
@@ -62,10 +62,15 @@ class Seen(NamedTuple):
 View = tuple[Array, Array, Array, Array]
 """One image's rotation, body's origin, focal lengths and first pixel, each as in `Drawn`."""
 
+Work = tuple[Array, Array, NDArray[np.int32], Array, Array]
+"""A drawing's optical depths (FINE w, FINE w), and their slopes (FINE w, FINE w, 5) by turns [rad]
+about the body's axes and by moves [px], both zero between drawings; and of each voxel what `_place`
+fills in, (2, m) and (6, m), and `_turn`, (3, 2, m), or (0, 2, m) where only moves are wanted."""
+
 FINE = 2
 """Pixels of a drawing across one pixel of the image."""
 
-_N_SLOPES = 5  # derivatives of a drawing: by three turns and two moves
+_N_SLOPES = 5
 _NONE = 1e-9
 _LEAST_CURVATURE = 1e-6
 _MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
@@ -138,7 +143,7 @@ def _learned(
 ) -> tuple[Voxels, IntArray, Array]:
     """Learn a body's shape; return it, the instants (k,) that it fits, and its attitudes there."""
     step = size * rules.reach_sizes / rules.voxels_across
-    body: Voxels = np.empty((0, 3)), np.empty(0), step
+    body: Voxels = np.empty((3, 0)), np.empty(0), step
     every: IntArray = np.arange(len(attitudes), dtype=np.int64)
     good = every
     left, is_last = np.inf, False
@@ -150,7 +155,7 @@ def _learned(
         for _ in range(rules.last_fit_steps if is_last else rules.fit_steps):
             densities = improved(body, flat)
             kept = densities > rules.least_depth
-            body = body[0][kept], densities[kept], step
+            body = body[0].compress(kept, axis=1), densities[kept], step
         attitudes, costs = registered(body, seen, every, attitudes, rules.alignments)
         if not is_last:
             ill = costs > (rules.ill * np.median(costs) if number else -np.inf)
@@ -204,9 +209,10 @@ def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRule
     """Keep the voxels of a grid that at least this share of the images covers."""
     along = step * np.arange(-rules.voxels_across, rules.voxels_across + 1)
     up = along[np.abs(along) <= rules.thickness_sizes * size]
-    grid = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
-    voxels = grid[seen_shares(grid, rules.covered_share, flat) >= share]
-    return voxels, np.full(len(voxels), 0.5), step
+    grid = np.stack(np.meshgrid(along, along, up, indexing="ij")).reshape(3, -1)
+    body = grid, np.full(grid.shape[1], 0.5), step
+    kept = seen_shares(body, rules.covered_share, flat) >= share
+    return grid.compress(kept, axis=1), body[1][kept], step
 
 
 def _yawed(
@@ -266,36 +272,34 @@ def _moves(body: Voxels, look: Look, times_s: Array, attitudes: Array, rules: Bo
 
 
 @numba.njit(cache=True)
-def seen_shares(voxels: Array, least: float, drawn: Drawn) -> Array:
+def seen_shares(body: Voxels, least: float, drawn: Drawn) -> Array:
     """Return the share (m,) of the images that are covered by `least` or more at each voxel."""
     images, corners, points, turns, focals = drawn
-    hits = np.zeros(len(voxels))
-    width = images.shape[1]
-    for i in range(len(images)):
-        view = turns[i], points[i], focals[i], corners[i]
-        for j in range(len(voxels)):
-            b, a, q, p, _ = _placed(voxels[j], view, 1, width)
+    n, width, m = len(images), images.shape[1], len(body[1])
+    hits, (_, _, cells, places, _) = np.zeros(m), _work_for(0, m, 0)
+    for i in range(n):
+        _place(body, (turns[i], points[i], focals[i], corners[i]), 1, width, cells, places)
+        for j in range(m):
+            b, a, p, q = cells[0, j], cells[1, j], places[0, j], places[1, j]
             if b < 0:
                 continue
             above = images[i, b, a] * (1.0 - p) + images[i, b, a + 1] * p
             below = images[i, b + 1, a] * (1.0 - p) + images[i, b + 1, a + 1] * p
             hits[j] += above * (1.0 - q) + below * q >= least
-    return hits / max(len(images), 1)
+    return hits / max(n, 1)
 
 
 @numba.njit(cache=True)
 def improved(body: Voxels, drawn: Drawn) -> Array:
     """Fit the voxels' densities (m,) to images by one multiplicative step of least squares."""
-    voxels, densities, _ = body
     images, corners, points, turns, focals = drawn
-    m, width = len(voxels), images.shape[1]
-    fine = FINE * width
-    depths, by_image, by_drawn = np.zeros((3, fine, fine))
-    no_slopes = np.zeros((0, 0, _N_SLOPES))
+    m, fine = len(body[1]), FINE * images.shape[1]
+    by_image, by_drawn = np.zeros((2, fine, fine))
+    depths, _, cells, places, _ = _work_for(fine, m, 0)
     seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
-        view = turns[i], points[i], focals[i], corners[i]
-        top, bottom, left, right = _draw(depths, no_slopes, body, view, _N_SLOPES)
+        _place(body, (turns[i], points[i], focals[i], corners[i]), FINE, fine, cells, places)
+        top, bottom, left, right = _draw(depths, cells, places)
         for y in range(top, bottom):
             for x in range(left, right):
                 share = 0.0
@@ -313,18 +317,18 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
                         by_drawn[row, col] = depths[row, col] * share
                         depths[row, col] = 0.0
         for j in range(m):
-            b, a, q, p, _ = _placed(voxels[j], view, FINE, fine)
+            b, a, p, q = np.int64(cells[0, j]), np.int64(cells[1, j]), places[0, j], places[1, j]
             if b < 0:
                 continue
-            for row, col, weight in (
+            for below, beside, weight in (
                 (b, a, (1.0 - p) * (1.0 - q)),
                 (b, a + 1, p * (1.0 - q)),
                 (b + 1, a, (1.0 - p) * q),
                 (b + 1, a + 1, p * q),
             ):
-                seen[j] += weight * by_image[row, col]
-                shown[j] += weight * by_drawn[row, col]
-    return _rounded(densities * seen / shown)
+                seen[j] += weight * by_image[below, beside]
+                shown[j] += weight * by_drawn[below, beside]
+    return _rounded(body[1] * seen / shown)
 
 
 @numba.njit(cache=True)
@@ -337,12 +341,14 @@ def registered(
     attitudes, and squared residuals as a share of squared images (m,), before the last step.
     """
     images, corners, points, is_seen, views, focals = seen
-    m, c, fine = len(places), images.shape[1], FINE * images.shape[2]
+    m, c = len(places), images.shape[1]
     found, costs = attitudes.copy(), np.zeros(m)
-    work = np.zeros((fine, fine)), np.zeros((fine, fine, _N_SLOPES))
+    work, squares = _work_for(FINE * images.shape[2], len(body[1]), 3), np.zeros(c)
     for i in range(m):
         at = places[i]
         moves = np.zeros((c, 2))
+        for k in range(c):
+            squares[k] = _squares(images[at, k])
         for _ in range(rounds):
             cost, whole = 0.0, _NONE
             normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad costs 1 px^2 of an image
@@ -352,8 +358,8 @@ def registered(
                     continue
                 corner = corners[at, k] - moves[k]
                 view = views[k] @ found[i], points[at, k], focals[k], corner
-                J, r, squares, all_squares = _normal(work, body, view, images[at, k], 0)
-                cost, whole = cost + squares, whole + all_squares
+                J, r, left_over = _normal(work, body, view, images[at, k], squares[k])
+                cost, whole = cost + left_over, whole + squares[k]
                 own[k] = np.linalg.inv(J[3:, 3:] + _LEAST_CURVATURE * np.eye(2))
                 mixed[k] = J[3:, :3]
                 left[k] = r[3:]
@@ -373,15 +379,15 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
     images, corners, points, turns, focals = drawn
     n = len(images)
     moves, costs = np.zeros((n, 2)), np.zeros(n)
-    fine = FINE * images.shape[1]
-    work = np.zeros((fine, fine)), np.zeros((fine, fine, _N_SLOPES))
+    work = _work_for(FINE * images.shape[1], len(body[1]), 0)
     for i in range(n):
+        squares = _squares(images[i])
         for _ in range(rounds):
             view = turns[i], points[i], focals[i], corners[i] - moves[i]
-            J, r, squares, all_squares = _normal(work, body, view, images[i], 3)
+            J, r, cost = _normal(work, body, view, images[i], squares)
             step = np.linalg.solve(J[3:, 3:] + _LEAST_CURVATURE * np.eye(2), r[3:])
             moves[i] += _within(step, _MOST_MOVE_PX)
-            costs[i] = squares / (all_squares + _NONE)
+            costs[i] = cost / (squares + _NONE)
     return moves, _rounded(costs)
 
 
@@ -398,19 +404,26 @@ def _within(step: NDArray[Any], most: float) -> Array:
 
 
 @numba.njit(cache=True)
-def _normal(
-    work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
-) -> tuple[Array, Array, float, float]:
-    """Return normal equations (5, 5), (5,) of turns and moves; squares of residuals and image."""
-    # Only entries from `first` on are set. The work arrays are all zero again at the end.
-    depths, slopes = work
-    top, bottom, left, right = _draw(depths, slopes, body, view, first)
-    by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    whole = 0.0
+def _squares(image: NDArray[np.float32]) -> float:
+    """Sum the squares of an image's pixels."""
+    total = 0.0
     for y in range(len(image)):
         for x in range(len(image)):
-            whole += image[y, x] ** 2
-    cost = whole
+            total += image[y, x] ** 2
+    return total
+
+
+@numba.njit(cache=True)
+def _normal(
+    work: Work, body: Voxels, view: View, image: NDArray[np.float32], squares: float
+) -> tuple[Array, Array, float]:
+    """Return normal equations (5, 5), (5,) of turns and moves, and the residuals' squares."""
+    depths, slopes, cells, places, turns = work
+    _place(body, view, FINE, len(depths), cells, places)
+    _turn(body[0], view, places, turns)
+    top, bottom, left, right = _draw(depths, cells, places)
+    _draw_slopes(slopes, cells, places, turns)
+    by, J, r, cost = np.zeros(_N_SLOPES), np.zeros((_N_SLOPES, _N_SLOPES)), np.zeros(5), squares
     for y in range(top, bottom):
         for x in range(left, right):
             share = 0.0
@@ -420,7 +433,7 @@ def _normal(
                     if depths[row, col] > 0.0:
                         through = np.exp(-depths[row, col])
                         share += (1.0 - through) / FINE**2
-                        for a in range(first, 5):
+                        for a in range(_N_SLOPES):
                             by[a] += through * slopes[row, col, a] / FINE**2
                         depths[row, col] = 0.0
                         slopes[row, col] = 0.0
@@ -428,76 +441,116 @@ def _normal(
             cost += off**2 - image[y, x] ** 2
             if share == 0.0:
                 continue
-            for a in range(first, 5):
+            for a in range(_N_SLOPES):
                 r[a] += by[a] * off
-                for b in range(first, a + 1):
+                for b in range(a + 1):
                     J[a, b] += by[a] * by[b]
-    for a in range(first, 5):
-        for b in range(first, a):
+    for a in range(_N_SLOPES):
+        for b in range(a):
             J[b, a] = J[a, b]
-    return J, r, cost, whole
+    return J, r, cost
 
 
 @numba.njit(cache=True)
-def _placed(
-    voxel: Array, view: View, scale: int, width: int
-) -> tuple[int, int, float, float, float]:
-    """Return the pixel up and left of a voxel's image (row -1: outside), offsets from it, depth."""
-    turn, point, focal, corner = view
-    x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
-    y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
-    z = turn[2, 0] * voxel[0] + turn[2, 1] * voxel[1] + turn[2, 2] * voxel[2] + point[2]
-    z = max(z, _NONE)
-    u = scale * (focal[0] * x / z - corner[0]) + 0.5 * (scale - 1)
-    v = scale * (focal[1] * y / z - corner[1]) + 0.5 * (scale - 1)
-    column, row = int(np.floor(u)), int(np.floor(v))
-    is_in = 0 <= column < width - 1 and 0 <= row < width - 1
-    return row if is_in else -1, column, v - row, u - column, z
+def _work_for(fine: int, m: int, n_turns: int) -> Work:
+    """Return the arrays for drawings of `fine` pixels across, of m voxels."""
+    depths, slopes = np.zeros((fine, fine)), np.zeros((fine, fine, _N_SLOPES))
+    return depths, slopes, np.empty((2, m), np.int32), np.empty((6, m)), np.empty((n_turns, 2, m))
 
 
-@numba.njit(cache=True)
-def _draw(
-    depths: Array, slopes: Array, body: Voxels, view: View, first: int
-) -> tuple[int, int, int, int]:
-    """Add optical depths (FINE w, FINE w) and their slopes from `first` on, in place."""
-    # Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px].
-    # Returned are the first row of image pixels and the one past the last; then so for columns.
+# To become vectors, the next two functions' loops read no view from memory, do not check for
+# division by zero, and add up nothing: the drawing of what they find has loops of its own.
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _place(
+    body: Voxels, view: View, scale: int, width: int, cells: NDArray[np.int32], places: Array
+) -> None:
+    """Find rows, -1: outside, and columns (2, m) of the pixels up and left of the voxels' images.
+
+    The places (6, m) are the images' offsets right and down from there, their normalised
+    coordinates, the voxels' distances along the axis, and their optical depths in a drawing.
+    """
     voxels, densities, step = body
-    turn, _, focal, corner = view
-    area = (FINE * step) ** 2 * focal[0] * focal[1]
+    turn, point, focal, corner = view
+    xx, xy, xz, x0 = turn[0, 0], turn[0, 1], turn[0, 2], point[0]
+    yx, yy, yz, y0 = turn[1, 0], turn[1, 1], turn[1, 2], point[1]
+    zx, zy, zz, z0 = turn[2, 0], turn[2, 1], turn[2, 2], point[2]
+    focal_u, focal_v, left, top = focal[0], focal[1], corner[0], corner[1]
+    area = (FINE * step) ** 2 * focal_u * focal_v
+    for j in range(len(densities)):
+        X, Y, Z = voxels[0, j], voxels[1, j], voxels[2, j]
+        x, y = xx * X + xy * Y + xz * Z + x0, yx * X + yy * Y + yz * Z + y0
+        z = max(zx * X + zy * Y + zz * Z + z0, _NONE)
+        u = scale * (focal_u * x / z - left) + 0.5 * (scale - 1)
+        v = scale * (focal_v * y / z - top) + 0.5 * (scale - 1)
+        column, row = np.floor(u), np.floor(v)
+        is_in = (column >= 0.0) & (column < width - 1) & (row >= 0.0) & (row < width - 1)
+        cells[0, j], cells[1, j] = np.int32(row if is_in else -1.0), np.int32(column)
+        places[0, j], places[1, j], places[2, j], places[3, j] = u - column, v - row, x / z, y / z
+        places[4, j], places[5, j] = z, densities[j] * area / z**2
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _turn(voxels: Array, view: View, places: Array, turns: Array) -> None:
+    """Find the images' moves (3, 2, m) by turns about the body's axes, times optical depth."""
+    turn, _, focal, _ = view
+    focal_u, focal_v = FINE * focal[0], FINE * focal[1]
+    for k in range(len(turns)):  # the voxel moves by axis k x voxel
+        one, two = (k + 1) % 3, (k + 2) % 3
+        x1, y1, z1 = turn[0, one], turn[1, one], turn[2, one]
+        x2, y2, z2 = turn[0, two], turn[1, two], turn[2, two]
+        for j in range(voxels.shape[1]):
+            X1, X2 = voxels[one, j], voxels[two, j]
+            u, v, z, depth = places[2, j], places[3, j], places[4, j], places[5, j]
+            dz = z2 * X1 - z1 * X2
+            turns[k, 0, j] = depth * (focal_u * (x2 * X1 - x1 * X2 - u * dz) / z)
+            turns[k, 1, j] = depth * (focal_v * (y2 * X1 - y1 * X2 - v * dz) / z)
+
+
+@numba.njit(cache=True)
+def _draw(depths: Array, cells: NDArray[np.int32], places: Array) -> tuple[int, int, int, int]:
+    """Add optical depths; return the first image row and the one past the last, then columns."""
     top, bottom, left, right = len(depths), 0, len(depths), 0
-    by_u, by_v = np.zeros(_N_SLOPES), np.zeros(_N_SLOPES)
-    by_u[3], by_v[4] = FINE, FINE
-    for j in range(len(voxels)):
-        b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
+    for j in range(cells.shape[1]):
+        b, a = np.int64(cells[0, j]), np.int64(cells[1, j])
         if b < 0:
             continue
-        top, bottom = min(top, b), max(bottom, b + 2)
-        left, right = min(left, a), max(right, a + 2)
-        depth = densities[j] * area / z**2
+        p, q, depth = places[0, j], places[1, j], places[5, j]
+        top, bottom = min(top, int(b)), max(bottom, int(b) + 2)
+        left, right = min(left, int(a)), max(right, int(a) + 2)
         depths[b, a] += depth * (1.0 - p) * (1.0 - q)
         depths[b, a + 1] += depth * p * (1.0 - q)
         depths[b + 1, a] += depth * (1.0 - p) * q
         depths[b + 1, a + 1] += depth * p * q
-        if first == 0:
-            x, y, h = voxels[j]
-            # Normalised image coordinates of the voxel.
-            u = ((a + p - 0.5 * (FINE - 1)) / FINE + corner[0]) / focal[0]
-            v = ((b + q - 0.5 * (FINE - 1)) / FINE + corner[1]) / focal[1]
-            # The voxel moves by axis x voxel.
-            for k, (d0, d1, d2) in enumerate(((0.0, -h, y), (h, 0.0, -x), (-y, x, 0.0))):
-                dx = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
-                dy = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
-                dz = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
-                by_u[k] = FINE * focal[0] * (dx - u * dz) / z
-                by_v[k] = FINE * focal[1] * (dy - v * dz) / z
-        for k in range(first, _N_SLOPES):
-            du, dv = depth * by_u[k], depth * by_v[k]
-            slopes[b, a, k] -= du * (1.0 - q) + dv * (1.0 - p)
-            slopes[b, a + 1, k] += du * (1.0 - q) - dv * p
-            slopes[b + 1, a, k] += dv * (1.0 - p) - du * q
-            slopes[b + 1, a + 1, k] += du * q + dv * p
     return top // FINE, -(-bottom // FINE), left // FINE, -(-right // FINE)
+
+
+@numba.njit(cache=True)
+def _draw_slopes(slopes: Array, cells: NDArray[np.int32], places: Array, turns: Array) -> None:
+    """Add the slopes of optical depths, in place."""
+    for j in range(cells.shape[1]):
+        b, a = np.int64(cells[0, j]), np.int64(cells[1, j])
+        if b < 0:
+            continue
+        p, q, move = places[0, j], places[1, j], FINE * places[5, j]
+        here, beside = slopes[b, a], slopes[b, a + 1]
+        below, beyond = slopes[b + 1, a], slopes[b + 1, a + 1]
+        if len(turns):
+            for k in range(3):
+                du, dv = turns[k, 0, j], turns[k, 1, j]
+                here[k] -= du * (1.0 - q) + dv * (1.0 - p)
+                beside[k] += du * (1.0 - q) - dv * p
+                below[k] += dv * (1.0 - p) - du * q
+                beyond[k] += du * q + dv * p
+        here[3] -= move * (1.0 - q)
+        beside[3] += move * (1.0 - q)
+        below[3] -= move * q
+        beyond[3] += move * q
+        here[4] -= move * (1.0 - p)
+        beside[4] -= move * p
+        below[4] += move * (1.0 - p)
+        beyond[4] += move * p
 
 
 @numba.njit(cache=True)
