@@ -264,8 +264,9 @@ def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refus
 
 def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
+    counted = min(n_swings, least - 0.1)  # rounded up, it could be what is needed
     reason = (
-        f"the object goes to and fro {n_swings:.1f} times while both cameras see it, and"
+        f"the object goes to and fro {counted:.1f} times while both cameras see it, and"
         f" {least} are needed to tell offset and pose from chance, as of different objects: record"
         " longer, or a livelier flight"
     )

@@ -53,7 +53,10 @@ def test_a_sine_swings_twice_a_period_where_both_cameras_see_it(hz, t_d_s, rel):
     # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
     expected = 2 * hz * (8.0 - t_d_s)
     assert views.swings(views.pairs_at(t_d_s)) == pytest.approx(expected, rel=rel)
-    assert offset_search.too_little_motion(3.4, MIN_SWINGS) is not None
+    refusal = offset_search.too_little_motion(3.49, MIN_SWINGS)
+    assert refusal is not None
+    assert "to and fro 3.4 times" in refusal.reason
+    assert f"and {MIN_SWINGS} are needed" in refusal.reason
     assert offset_search.too_little_motion(3.6, MIN_SWINGS) is None
 
 
