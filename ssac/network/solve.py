@@ -19,7 +19,7 @@ from ssac.network.build import Built, build
 from ssac.network.graph import Link, Pair, Triple, closures_s, factor_of, groups
 from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
-from ssac.network.state import Priors, Sightings, is_near, network_times
+from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times
 from ssac.network.tum import Path
 from ssac.rules import Rules
 from ssac.search.all_offsets import Guess
@@ -45,6 +45,7 @@ class CameraAnswer:
     r_std_deg: float = np.nan
     t_std: Array | None = None  # (3,) in the unit of t
     centre_covariance: Array | None = None  # (3, 3) of the projection centre
+    calibration: Camera | None = None  # found in place of the rig's, where pairs contradict it
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) first camera's clock
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     n_samples: int = 0
@@ -100,12 +101,23 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         r_std_deg=float(np.rad2deg(np.sqrt(np.sum(np.diag(covariance)[layout.ROTATION])))),
         t_std=deviations[layout.TRANSLATION],
         centre_covariance=centre_covariance(state.R, state.t, covariance[pose, pose]),
+        calibration=_calibration(seen.camera, state, deviations),
         knots_s=state.network_from_own(state.knots_s),
         strays_s=state.strays_s,
         n_samples=int(np.count_nonzero(fit.used)),
         n_seen=len(seen),
         rms_px=fit.rms_px,
     )
+
+
+def _calibration(camera: Camera, state: CameraState, deviations: Array) -> Camera:
+    """Return a camera with the intrinsics found, and their deviations."""
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 1.0 + state.focal
+    K[:2, 2] += state.centre_px
+    focals_px = np.diag(camera.K)[:2] * deviations[layout.FOCAL]
+    stds_px = tuple(np.append(focals_px, deviations[layout.CENTRE]).tolist())
+    return replace(camera, K=K, intrinsics_std_px=stds_px)
 
 
 def _holds_at(network: Network, times_s: Array) -> Mask:

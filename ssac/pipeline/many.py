@@ -81,6 +81,10 @@ class NetworkResult:
         for camera in answer.cameras:
             in_metres = camera.group > 0 and self.are_in_metres[camera.group - 1]
             rows += _camera_rows(camera, " m" if in_metres else "")
+            if camera.calibration is not None:
+                focals = ", ".join(f"{one:.2f}" for one in np.diag(camera.calibration.K)[:2])
+                sigma = ", ".join(f"{one:.2g}" for one in camera.calibration.intrinsics_std_px[:2])
+                rows.append(("", f"not as in the rig: focal lengths {focals} px, 1 sigma {sigma}"))
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
@@ -200,6 +204,11 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         quanta_s = [quantum_s(chain.clean(k)) for k in range(len(chain))]
         answer = rounded_by(answer, quanta_s)
+        cameras = [
+            replace(found, calibration=None) if as_doubted(k, camera, pairs) is camera else found
+            for k, (found, camera) in enumerate(zip(answer.cameras, chain.rig.cameras, strict=True))
+        ]
+        answer = replace(answer, cameras=cameras)
         answer, ground = grounded(answer, known, chain.config.rules)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or distance_m is not None
@@ -273,7 +282,8 @@ def write_two(
         T = _transform(estimate)
         T[:3, 3] *= scale
         step = Step(1, T, estimate.t_d_s + estimate.clock.stray_at_ref_s, in_metres)
-        _save_rig(rig, answer.cameras, [None, step], log)
+        used = answer.less_certain or answer.rig
+        _save_rig(rig, (used.cam1, used.cam2), [None, step], log)
 
 
 def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None, log: Log) -> None:
@@ -303,7 +313,9 @@ def write_many(result: NetworkResult, trajectory: Path | None, rig: Path | None,
         if camera.group != 1
     )
     rigs = [result.pairs[0, k].rig for k in range(1, len(found))]
-    _save_rig(rig, (rigs[0].cam1, *(one.cam2 for one in rigs)), steps, log, apart)
+    stated = rigs[0].cam1, *(one.cam2 for one in rigs)
+    used = [one.calibration or camera for one, camera in zip(found, stated, strict=True)]
+    _save_rig(rig, used, steps, log, apart)
 
 
 def _save_rig(
@@ -393,6 +405,7 @@ _NUMBERS = (
 
 
 def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
+    found = camera.calibration
     return {
         "name": camera.name,
         "file": name,
@@ -404,6 +417,8 @@ def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
             {"t_s": t_s, "stray_s": stray_s}
             for t_s, stray_s in zip(camera.knots_s.tolist(), camera.strays_s.tolist(), strict=True)
         ],
+        "intrinsics": found and [*np.diag(found.K)[:2].tolist(), *found.K[:2, 2].tolist()],
+        "intrinsics_std": found and list(found.intrinsics_std_px),
         "n_samples": camera.n_samples,
         "rms_px": plain(camera.rms_px),
     }

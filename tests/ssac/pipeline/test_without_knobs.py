@@ -11,9 +11,11 @@ import ssac
 from ssac.camera import Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.files.rigs import load_rig
 from ssac.methods import tangency
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.many import as_doubted
+from ssac.pipeline.many import as_doubted, write_many, write_two
+from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.points import PointTrack
@@ -130,13 +132,16 @@ def test_no_wrong_focal_length_is_believed_and_a_large_error_is_named(events, sh
 
 
 @pytest.mark.parametrize("share", [0.05, -0.1])
-def test_nor_is_a_wrong_one_that_the_rig_states_as_exact(events, share):
+def test_nor_is_a_wrong_one_that_the_rig_states_as_exact(events, share, tmp_path):
     result = ssac.sync(*events, [replace(longer(share), intrinsics_std_px=EXACT_PX), CAMERA])
     assert rotation_angle_deg(result.R, SCENE.R) < 4.0 * result.r_std_deg
     assert "what is seen contradicts the rig: " in result.note
+    write_two(result.answer, NOTHING, None, tmp_path / "rig.yaml", lambda text: None)
+    written = load_rig(tmp_path / "rig.yaml").cam1.intrinsics_std_px
+    assert written[0] > 0.01 * CAMERA.K[0, 0]  # ten times that of a good calibration
 
 
-def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right():
+def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right(tmp_path):
     flight, share = make_flight(3, noise_px=0.1), 0.1
     K = OF_FLIGHTS.K.copy()
     K[:2, :2] *= 1.0 + share
@@ -146,6 +151,18 @@ def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right():
     focal = [state.focal for state in found.network.built[0].network.states]
     assert focal[1] == pytest.approx(1.0 / (1.0 + share) - 1.0, abs=0.005)  # 5 of its deviations
     assert not np.any([focal[0], focal[2]])
+    write_many(found, None, tmp_path / "rig.yaml", lambda text: None)
+    one, other = (load_rig(tmp_path / "rig.yaml", (1, k)) for k in (2, 3))
+    written = one.cam1, one.cam2, other.cam2
+    for k, (camera, answer) in enumerate(zip(written, found.to_dict()["cameras"], strict=True)):
+        off_px = np.diag(camera.K)[:2] - np.diag(OF_FLIGHTS.K)[:2]
+        assert np.all(np.abs(off_px) <= 4.0 * np.array(camera.intrinsics_std_px[:2]))
+        assert np.all(off_px == 0.0) == (k != 1)
+        assert (answer["intrinsics"] is None) == (k != 1)
+        if k == 1:
+            assert answer["intrinsics"][:2] == pytest.approx(np.diag(camera.K)[:2])
+            assert answer["intrinsics_std"] == pytest.approx(camera.intrinsics_std_px)
+    assert found.summary().count("not as in the rig: focal lengths") == 1
     for camera, (R, t) in zip(found.cameras[1:], flight.poses[1:], strict=True):
         assert rotation_angle_deg(camera.R, R) < 4.0 * camera.r_std_deg < 0.4
         assert np.all(np.abs(camera.t - t / flight.distance_m) < 4.0 * camera.t_std)
