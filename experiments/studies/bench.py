@@ -36,9 +36,8 @@ _TOOK = ("wall_s", "cpu_s", "peak_mb")
 SHORT_EVENTS = 15e6  # of a camera, about; a short run leaves out larger points
 
 MARK_EXPONENT = 1.1
-MARKS_S = {SIMULATE: 600.0, SYNCHRONISE: 60.0}  # of the largest point
-MARK_PEAK_MB = 6000.0  # of the same
-MIN_MARKED_EVENTS = 50e6  # of the largest point, from which the marks apply
+MARK_PEAK_MB = 6000.0  # of the largest point
+MIN_MARKED_EVENTS = 50e6  # of that point, from which the mark applies
 
 Extent = Literal["full", "short"]
 """Up to which size of recordings the growth is measured."""
@@ -107,9 +106,9 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     most, name = table["events_per_camera"].max(), "growth, largest pair"
     is_marked = most >= MIN_MARKED_EVENTS
     for one in records(table[table["events_per_camera"] == most]):
-        mark_s, mark_mb = (MARKS_S[one["step"]], MARK_PEAK_MB) if is_marked else (np.nan, np.nan)
+        mark_mb = MARK_PEAK_MB if is_marked else np.nan
         rows += [
-            Measurement(f"{name}: {one['step']}", one["wall_s"], "s", mark_s),
+            Measurement(f"{name}: {one['step']}", one["wall_s"], "s"),
             Measurement(f"{name}: {one['step']}, peak memory", one["peak_mb"], "MB", mark_mb),
         ]
     if len(table):
