@@ -217,19 +217,16 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
-    if n_back or n_leaps:
-        kept = events
-        if reading.allow_damaged:  # the part with the most events and no leap or step back
-            steps_us, is_back = np.diff(t), t[1:] < t[:-1]
-            is_cut = is_back | (steps_us > _LONGEST_GAP_US) | (steps_us < 0)
-            kept = max(np.split(events, np.flatnonzero(is_cut) + 1), key=len)
-        lost = len(events) - len(kept)
-        if lost:
-            signs.append(
-                f"time runs back or leaps: {lost} of {len(events)} events "
-                f"({100.0 * lost / len(events):.2g} %) are left out"
-            )
-        events = kept
+    if reading.allow_damaged and (n_back or n_leaps):
+        steps_us, is_back = np.diff(t), t[1:] < t[:-1]
+        is_cut = is_back | (steps_us > _LONGEST_GAP_US) | (steps_us < 0)
+        n_events = len(events)
+        events = max(np.split(events, np.flatnonzero(is_cut) + 1), key=len)
+        lost = n_events - len(events)
+        signs.append(
+            f"time runs back or leaps: {lost} of {n_events} events "
+            f"({100.0 * lost / n_events:.2g} %) are left out"
+        )
     refuse_damaged(path, signs, reading)
     return events
 
