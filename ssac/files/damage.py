@@ -53,12 +53,12 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         raise SsacError(f"{path}: not {kind} ({brief(error)}): copy or record it again") from error
 
 
-def brief(error: BaseException, longest: int = 200) -> str:
-    """Return an exception's message on one line, cut to `longest` characters."""
+def brief(error: BaseException) -> str:
+    """Return an exception's message on one line, cut to 200 characters."""
     if isinstance(error, MemoryError):  # of a library that believes a size it reads
         return "a size in it is larger than the memory here"
     words = " ".join(str(error).split()) or type(error).__name__
-    return words if len(words) <= longest else f"{words[:longest]}..."
+    return words if len(words) <= 200 else f"{words[:200]}..."
 
 
 @contextmanager
