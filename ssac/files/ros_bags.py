@@ -100,11 +100,9 @@ def topic_of(path: Path) -> Topic:
     there = ", ".join(f"{name} ({kinds[name]})" for name in sorted(kinds)[:10]) or "none"
     if len(usable) > 1:
         raise SeveralTopicsError(bag, sorted(usable))
-    what = "a topic of events or points"
     if wanted and not usable:
         raise SsacError(f"{bag}: there is no topic /{wanted}, only {there}: name one of these")
-    if wanted:
-        what = f"these on the topic /{wanted}"
+    what = f"these on the topic /{wanted}" if wanted else "a topic of events or points"
     raise SsacError(f"{bag}: expected {what} ({', '.join(_KINDS)}), got the topics {there}")
 
 
