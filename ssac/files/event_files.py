@@ -72,9 +72,8 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     return found
 
 
-def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
+def write_synced(path: Path, cam2: EventFile, clock: Clock) -> None:
     """Write camera 2's events on camera 1's clock [whole us], in the format of the extension."""
-    path = Path(path)
     check_written(path)
     events = cam2.events.copy()
     if clock.is_delay:
@@ -110,11 +109,8 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
     return checked_file(_events(arrays, path), (width, height), path, reading, "microseconds")
 
 
-def save_events_numpy(
-    path: Path | str, events: Events, width: int | None, height: int | None
-) -> None:
+def save_events_numpy(path: Path, events: Events, width: int | None, height: int | None) -> None:
     """Write events; an archive (.npz) also holds the sensor's size [px] where it is known."""
-    path = Path(path)
     check_writable(path, EVENT_DTYPE.itemsize * len(events))
     with whole_file(path) as temporary, temporary.open("wb") as file:
         if path.suffix.lower() == ".npy":

@@ -63,14 +63,13 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def load_frames(
-    path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
+    path: Path, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
 ) -> tuple[IntArray, NDArray[Any]] | None:
     """Read a recording's times of mid-exposure (n,) [us] and frames (n, height, width) uint8.
 
     None if there are no frames or the file is not HDF5. `summary` is called with blocks of frames
     (k, height, width); the array (k, ...) that it returns is kept in their place.
     """
-    path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
         return None
     with readable(path, _KIND), h5py.File(path, "r") as file:
@@ -93,10 +92,10 @@ def load_frames(
     return times_us.astype(np.int64), kept
 
 
-def save_events_h5(path: Path | str, events: Events, width: int | None, height: int | None) -> None:
+def save_events_h5(path: Path, events: Events, width: int | None, height: int | None) -> None:
     """Write events in our HDF5 layout, with the sensor's size [px] where it is known."""
-    check_writable(Path(path), EVENT_DTYPE.itemsize * len(events))
-    with whole_file(Path(path)) as temporary, h5py.File(temporary, "w") as file:
+    check_writable(path, EVENT_DTYPE.itemsize * len(events))
+    with whole_file(path) as temporary, h5py.File(temporary, "w") as file:
         for field in "txyp":
             file[f"events/{field}"] = events[field]
         for key, value in (("width", width), ("height", height)):

@@ -63,11 +63,9 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
     return checked_file(events, size_px, path, reading, "microseconds", is_text=True)
 
 
-def save_events_text(
-    path: Path | str, events: Events, width: int | None, height: int | None
-) -> None:
+def save_events_text(path: Path, events: Events, width: int | None, height: int | None) -> None:
     """Write ESIM text, exact to the microsecond, with the sensor's size [px] where it is known."""
-    with whole_file(Path(path)) as temporary, temporary.open("w", encoding="utf-8") as file:
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         if width is not None and height is not None:
             file.write(f"{width} {height}\n")
         for first in range(0, len(events), LINES_PER_BLOCK):
