@@ -77,13 +77,13 @@ def load_frames(
         if times is None or images is None:
             return None
         refuse_damaged(path, [*_signs_of_loss(times), *_signs_of_loss(images)], STRICT)
-        times_us = times[:] if times.ndim == 1 else np.empty(times.shape)
-        if images.ndim != 3 or images.dtype != np.uint8 or times_us.shape != images.shape[:1]:
+        if images.ndim != 3 or images.dtype != np.uint8 or times.shape != images.shape[:1]:
             raise SsacError(
                 f"{path}: expected frames/images as (n, height, width) uint8 with n times in "
-                f"frames/t, got {images.shape} {images.dtype} and {times_us.shape} times: write "
-                "the frames again"
+                f"frames/t, got {images.shape} {images.dtype} and {times.shape} times: write the "
+                "frames again"
             )
+        times_us = times[:]
         if times_us.dtype.kind not in "iu" or np.any(np.diff(times_us.astype(np.int64)) <= 0):
             raise SsacError(
                 f"{path}: frames/t must hold increasing whole microseconds: write the frames again"
@@ -179,8 +179,6 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
 
 def _signs_of_loss(found: Any) -> list[str]:
     """List the parts of a dataset that are not stored, and would be read as zeros."""
-    if found.size == 0:
-        return []
     if found.chunks:
         n_chunks = math.prod(
             -(-length // at_once) for length, at_once in zip(found.shape, found.chunks, strict=True)
