@@ -93,7 +93,7 @@ def check_written(path: Path, suffixes: tuple[str, ...] = WRITTEN) -> None:
         )
 
 
-def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
+def load_events_numpy(path: Path, reading: Reading) -> EventFile:
     """Read events that NumPy saved."""
     with readable(path, f"a complete {path.suffix} file of NumPy"):
         if path.suffix.lower() == ".npy":

@@ -12,16 +12,7 @@ import numpy as np
 from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
-from ssac.files.damage import (
-    LONGEST_S,
-    STRICT,
-    Reading,
-    brief,
-    check_text,
-    checked_file,
-    readable,
-    side_px,
-)
+from ssac.files.damage import LONGEST_S, Reading, brief, check_text, checked_file, readable, side_px
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
@@ -29,7 +20,7 @@ _SIZE = "the sensor's size in the first line must be"
 LINES_PER_BLOCK = 1_000_000  # so that reading needs little more memory than the events
 
 
-def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
+def load_events_text(path: Path, reading: Reading) -> EventFile:
     """Read ESIM text."""
     first_line = _first_line(path).split()
     width, height = None, None
@@ -44,7 +35,7 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
     return checked_file(events, (width, height), path, reading, "seconds", is_text=True)
 
 
-def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
+def load_events_csv(path: Path, reading: Reading) -> EventFile:
     """Read comma-separated events whose first line names the columns t, x, y and p."""
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):
