@@ -85,10 +85,7 @@ def load_flown(cells: Sequence[BoundCell], cache: Cache) -> Flown:
 
 def bound_row(cell: BoundCell, flown: Flown) -> BoundRow:
     """Find the bound of one method."""
-    found = method_bound(cell.method, *flown)
-    given, of = cell.method in KNOWN_POSE, found.bound
-    pose_deg = (np.nan, np.nan) if given else np.rad2deg([of.R_rad, of.t_rad]).tolist()
-    return BoundRow("ok", "", found.sigma_px, found.n_samples, 1e3 * of.t_d_s, *pose_deg)
+    return method_bound(cell.method, *flown)
 
 
 def bound_cells() -> list[BoundCell]:
@@ -143,8 +140,8 @@ class Bound:
     """Least root mean square errors; infinite if the motion leaves a parameter unobservable."""
 
     t_d_s: float
-    R_rad: float  # of the angle of R_est' R_true; 0 when the pose is known
-    t_rad: float  # of the angle between the translation directions; 0 when the pose is known
+    R_rad: float  # of the angle of R_est' R_true; NaN where the pose is given
+    t_rad: float  # of the angle between the translation directions; NaN likewise
 
 
 def cramer_rao_bound(information: Array) -> Bound:
@@ -159,7 +156,7 @@ def cramer_rao_bound(information: Array) -> Bound:
 def known_pose_bound(information: Array) -> Bound:
     """Return the bound of the offset for a known pose, from the same information."""
     with np.errstate(divide="ignore"):
-        return Bound(float(1.0 / np.sqrt(information[0, 0])), 0.0, 0.0)
+        return Bound(float(1.0 / np.sqrt(information[0, 0])), np.nan, np.nan)
 
 
 def fisher_information(
@@ -196,18 +193,7 @@ def seen(truth: FlightTruth, camera: int, K: Array, times_s: Array) -> tuple[Arr
     return p_px, (rates[:, :2] - p_px * rates[:, 2:]) / points[:, 2:]
 
 
-@dataclass(frozen=True)
-class MethodBound:
-    """The Cramer-Rao bound of a method on one recording, and the noise it is computed with."""
-
-    sigma_px: float  # measured noise of a sample of median weight
-    n_samples: int
-    bound: Bound
-
-
-def method_bound(
-    method: str, views: TwoViews, truth: FlightTruth, t_d_s: float = 0.0
-) -> MethodBound:
+def method_bound(method: str, views: TwoViews, truth: FlightTruth, t_d_s: float = 0.0) -> BoundRow:
     """Give the bound of a method of SAMPLES on views whose rig has the true extrinsics."""
     rig, samples = views.rig, SAMPLES[method](views, t_d_s)
     R, t = known_pose(rig)
@@ -219,7 +205,9 @@ def method_bound(
     noise_px = sigma_px / samples.weights
     information = fisher_information(p1_px, p2_px, v2_px_s, R, t, rig, noise_px)
     least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
-    return MethodBound(sigma_px, len(samples.times_s), least(information))
+    bound = least(information)
+    pose_deg = np.rad2deg([bound.R_rad, bound.t_rad]).tolist()
+    return BoundRow("ok", "", sigma_px, len(samples.times_s), 1e3 * bound.t_d_s, *pose_deg)
 
 
 def mean_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
