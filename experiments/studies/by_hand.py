@@ -118,20 +118,6 @@ class HandCell(FlightCell):
         }  # fmt: skip
 
 
-def recorded(cell: HandCell, cache: Cache) -> Pair:
-    """Give what both cameras recorded, and the rig as it is stated, with the true pose."""
-    load = partial(recorded_pair, cache, replace(cell.sim, t_d_s=0.0))
-    flown = Flown(load, cell.seed, second_seed(cell.seed))
-    pair = spoilt_pair(flown, cell.spoilt, cell.sim.spline.duration_s)
-    return pair._replace(cam2=pair.cam2.delayed(cell.sim.t_d_s - T_D_S))
-
-
-def truth_of(cell: HandCell, pair: Pair) -> Truth:
-    """Give what is true of it."""
-    sim, skew_ppm = cell.sim, cell.spoilt.skew_of(cell.seed)
-    return Truth(sim.t_d_s, *known_pose(pair.rig), skew_ppm, 0.5 * sim.spline.duration_s)
-
-
 def drawn(base: int, flight: int, far: float = 0.5) -> HandCell:
     """Draw a recording by its number; `far` is the share of offsets beyond 1 s in most kinds."""
     rng = np.random.default_rng((base, flight))
@@ -300,7 +286,7 @@ def hand_cells(
 class Tried:
     """A recording, and what settings say of it."""
 
-    pair: Pair
+    pair: Pair  # with the rig as it is stated, and its true pose
     truth: Truth
 
     @cached_property
@@ -329,8 +315,12 @@ class Tried:
 
 def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
     """Load the recording that the cells share."""
-    pair = recorded(cells[0], cache)
-    return Tried(pair, truth_of(cells[0], pair))
+    sim, seed, kind = cells[0].sim, cells[0].seed, cells[0].spoilt
+    load, duration_s = partial(recorded_pair, cache, replace(sim, t_d_s=0.0)), sim.spline.duration_s
+    pair = spoilt_pair(Flown(load, seed, second_seed(seed)), kind, duration_s)
+    pair = pair._replace(cam2=pair.cam2.delayed(sim.t_d_s - T_D_S))
+    truth = Truth(sim.t_d_s, *known_pose(pair.rig), kind.skew_of(seed), 0.5 * duration_s)
+    return Tried(pair, truth)
 
 
 def hand_row(cell: HandCell, tried: Tried) -> HandRow:

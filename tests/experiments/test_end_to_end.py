@@ -16,7 +16,7 @@ import pytest
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import observations, rig_of
 from experiments.lab.score import score
-from experiments.studies.by_hand import drawn, recorded, truth_of
+from experiments.studies.by_hand import drawn, load_tried
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
@@ -97,8 +97,8 @@ def test_a_rigid_body_joins_the_tangents_with_noise_and_without(sensor):
 
 def test_a_large_object_starts_from_its_silhouettes(tmp_path):
     cell = drawn(300, 901)  # 74 px wide, for 3.4 s: the mean of its events is pixels off
-    pair = recorded(cell, Cache(tmp_path))
-    truth = truth_of(cell, pair)
+    tried = load_tried([cell], Cache(tmp_path))
+    pair, truth = tried.pair, tried.truth
     result = sync(pair.cam1, pair.cam2, pair.rig)
     found = result.estimate
     assert_close(found, truth, truth.t_d_of(found))
