@@ -27,7 +27,7 @@ from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of, markdown_table, records
-from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
+from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, StepCell
 from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
 
@@ -50,15 +50,11 @@ Growth = Annotated[
 ]
 
 
-def points_of(extent: Extent) -> list[Point]:
-    """List the points of a run, the smallest first."""
-    limit = SHORT_EVENTS if extent == "short" else np.inf
-    return [one for one in POINTS if one.events_per_s * one.duration_s <= limit]
-
-
 def growth_cells(growth: Growth = "short") -> list[StepCell]:
-    """List the steps of each point."""
-    return [StepCell(point, step) for point in points_of(growth) for step in STEPS]
+    """List the steps of each point, the smallest first."""
+    limit = SHORT_EVENTS if growth == "short" else np.inf
+    points = [one for one in POINTS if one.events_per_s * one.duration_s <= limit]
+    return [StepCell(point, step) for point in points for step in STEPS]
 
 
 def growth_table(rows: pd.DataFrame, _: Results) -> pd.DataFrame:
