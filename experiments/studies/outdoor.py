@@ -176,8 +176,7 @@ def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
             path = answer.paths[0].path
     else:
-        of_two, path = estimated(folders[0], truth, cell)
-        found = of_two.estimate
+        found, path = estimated(folders[0], truth, cell)
         row = OutdoorRow(str(found.status), found.reason)
     if path is None:
         return row
@@ -227,7 +226,7 @@ def at_once(
 
 def estimated(
     folder: Path, truth: FlightTruth, cell: OutdoorCell
-) -> tuple[Answer, SpacePath | None]:
+) -> tuple[Estimate, SpacePath | None]:
     """Find clocks, pose and path [baselines, camera 1's frame] of two cameras."""
     config, flight, kind = cell.config, cell.flight, cell.kind
     is_exact = kind in ("true_intrinsics", "all_true")
@@ -239,12 +238,12 @@ def estimated(
             cam1, cam2 = write_tracks(work, config, truth)
         else:
             cam1, cam2 = write_events(work, (folder,), (truth,), flight)
-        found = sync(cam1, cam2, work / "rig.yaml", config=CONFIG).answer
-    is_given = kind in ("true_pose", "all_true")
-    R, t = (truth.R, truth.t) if is_given else (found.estimate.R, found.estimate.t)
-    if not found.estimate.has_offset or R is None or t is None:
+        answer = sync(cam1, cam2, work / "rig.yaml", config=CONFIG).answer
+    found, is_given = answer.estimate, kind in ("true_pose", "all_true")
+    R, t = (truth.R, truth.t) if is_given else (found.R, found.t)
+    if not found.has_offset or R is None or t is None:
         return found, None
-    return found, triangulated(found, R, t)
+    return found, triangulated(answer, R, t)
 
 
 def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:

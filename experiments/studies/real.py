@@ -298,7 +298,7 @@ def rate(results: Results, camera: int) -> str:
 def strays_range(results: Results) -> str:
     """Give the range of the largest strays of pairs with a camera of VARIABLE_RATES."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
-    rows = rows[_varies(rows) & rows["status"].isin(OFFSET_GIVEN)]
+    rows = rows[_of_some(rows, VARIABLE_RATES) & rows["status"].isin(OFFSET_GIVEN)]
     return f"{rows['most_stray_ms'].min():.0f} to {rows['most_stray_ms'].max():.0f} ms"
 
 
@@ -349,11 +349,7 @@ def _constant(results: Results) -> pd.DataFrame:
     """Give the answered pairs with published clocks of which both cameras' rates are constant."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
     given = rows["status"].isin(OFFSET_GIVEN) & rows["from_truth_ms"].notna()
-    return rows[~_varies(rows) & given]
-
-
-def _varies(rows: pd.DataFrame) -> "pd.Series[bool]":
-    return _of_some(rows, VARIABLE_RATES)
+    return rows[~_of_some(rows, VARIABLE_RATES) & given]
 
 
 def _of_some(rows: pd.DataFrame, cameras: Container[tuple[int, int]]) -> "pd.Series[bool]":

@@ -28,7 +28,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import by_group, made_of, quoted, quoted_of
 from experiments.paper.esim import ANGLES_DEG
 from experiments.studies.by_hand import right
-from experiments.studies.imperfect import ImperfectRow, given_columns
+from experiments.studies.imperfect import ALL, ImperfectRow, given_columns
 from experiments.worlds import open_flights
 from experiments.worlds.open_flights import CAUSES, KINDS, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
@@ -151,7 +151,6 @@ def ordinary_answered(results: Results) -> str:
 BASE = 61  # some choices were made on its recordings, and on those of 62
 N_RECORDINGS = 20  # of each cause
 REASONS_FIRST_FLIGHT, BASE_STEP = 60_000, 100
-ALL = "all"  # kind of the row over all causes
 
 
 @dataclass(frozen=True)

@@ -138,9 +138,6 @@ PATHS: dict[str, Callable[[Rng], Position]] = {
 }  # fmt: skip
 """Draws of the flights whose path is no random spline, by name."""
 
-_NOSE_FIRST = {"orbit": "circle"}
-"""Paths of the flights in which the body turns with its course, so that outlines tell no more."""
-
 
 def _nose_first(position: Position) -> Attitude:
     """Turn a body's x axis along its course, and its z axis along that of the curve."""
@@ -168,7 +165,8 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
 
     A recording's key in the cache has the content of its trajectory file, not the name.
     """
-    path = _NOSE_FIRST.get(flight, flight)
+    is_orbit = flight == "orbit"  # a circle flown nose first: outlines tell no more than it does
+    path = "circle" if is_orbit else flight
     if path not in PATHS and path not in _PACES:
         return recorded_pair(cache, config, seed)
     rng = generator(seed, _PATH_STREAM)
@@ -177,7 +175,7 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
     own = PATHS[path](rng) if path in PATHS else None
     position = own or (lambda times_s: random.position(pace * times_s))
     trajectory = Trajectory(DURATION_S, position, lambda times_s: random.attitude(pace * times_s))
-    if flight in _NOSE_FIRST:
+    if is_orbit:
         trajectory = replace(trajectory, attitude=_nose_first(position))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"

@@ -166,17 +166,12 @@ def load_rtk(folder: Path) -> tum.Path:
     return tum.Path(RTK_S * index, table[:, -3:])
 
 
-def rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
-    """Return the range to search of camera j's clock rate by camera i's; None if both are known."""
-    low, high = UNKNOWN_RATES.get((number, j), (1.0, 1.0))
-    slow, fast = UNKNOWN_RATES.get((number, i), (1.0, 1.0))
-    return None if low == high and slow == fast else (low / fast, high / slow)
-
-
 def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Answer:
     """Synchronise a pair with one config after the other, until there is an offset."""
     i, j = pair
-    config = Config(search="all", rates=rate_range(number, i, j))
+    (slow, fast), (low, high) = (UNKNOWN_RATES.get((number, k), (1.0, 1.0)) for k in pair)
+    rates = None if low == high and slow == fast else (low / fast, high / slow)  # j's by i's
+    config = Config(search="all", rates=rates)
     configs = [config]  # what sync tries itself
     if {(number, i), (number, j)} & VARIABLE_RATES:
         configs = [replace(config, clock="pieces", roughness_ppm=ppm) for ppm in ROUGHNESSES_PPM]
