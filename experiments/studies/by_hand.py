@@ -371,7 +371,7 @@ def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
+def _judged(runs: pd.DataFrame) -> dict[str, Any]:
     """Give the row of the default on a recording, with what is to be said of it."""
     default = runs[runs["setting"] == UNASKED].iloc[0]
     better = list(runs[runs["is_right"] & (runs["gives"] > default["gives"])]["setting"])
@@ -380,10 +380,7 @@ def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
         verdict, better = "wrong", []
     elif better:
         verdict = "settled"
-    judged: pd.Series[Any] = pd.concat(
-        [default, pd.Series({"verdict": verdict, "settings": better})]
-    )
-    return judged
+    return {**default, "verdict": verdict, "settings": better}
 
 
 def _counts(default: pd.DataFrame) -> dict[str, Any]:

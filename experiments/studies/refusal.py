@@ -274,8 +274,7 @@ def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:
     offsets without a pose among them. `advised` are refusals with an advice, and `works` those of
     them that following it mended.
     """
-    causes = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
-    return pd.DataFrame([{"kind": kind, **_counts(part)} for kind, part in causes.items()])
+    return by_group(pd.concat([runs.assign(kind=ALL), runs]), ("kind",), _counts)
 
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:

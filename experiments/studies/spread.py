@@ -106,10 +106,9 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
         counts = {"method": method, "windows": len(group), "answered": len(ok)}
         for quantity, (off, stated) in _deviations(ok).items():
             spread = float(np.sqrt(np.mean(np.square(off)))) if len(off) else np.nan
-            row = {**counts, "quantity": quantity, "median": np.nan}
-            if quantity == "t_d_ms":
-                row["median"] = ok["t_d_ms"].dropna().median()
+            median = ok["t_d_ms"].dropna().median() if quantity == "t_d_ms" else np.nan
             most = float(np.max(np.abs(off))) if len(off) else np.nan
+            row = {**counts, "quantity": quantity, "median": median}
             row |= {"spread": spread, "most": most, "stated": stated}
             rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
     return pd.DataFrame(rows)
