@@ -58,10 +58,7 @@ def scene_figures(recording: Recording) -> SceneFigures:
 
 
 def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
-    """Return the statistics of two cameras' recordings, by the true rig and the true offset.
-
-    SsacError when no sample time is valid in both views.
-    """
+    """Return the statistics of a pair, by its true rig and offset; SsacError if nothing is seen."""
     config = Config()
     views = Chain((cam1, cam2), rig, config).views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))

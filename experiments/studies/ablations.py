@@ -116,10 +116,7 @@ def sweep_study(grid: GridConfig, runs_file: str, command: str, points: str = ""
 
 
 def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
-    """Sum up the runs at each point of a grid, by method, as docs/sweeps.md says.
-
-    Each error of the answered runs has its mean with a 95 % interval (Student's t), and its median.
-    """
+    """Sum up the runs at each point of a grid, by method, as docs/sweeps.md says."""
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
         ok, statuses = answered(group), group["status"].value_counts().sort_index()
@@ -133,7 +130,7 @@ def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 
 
 def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
-    """Mean of an error with its interval, and the median."""
+    """Mean of an error with its interval (Student's t), and the median."""
     values: Any = column.dropna()
     mean, freedom = values.mean(), len(values) - 1
     half = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL)) * values.sem()
@@ -143,10 +140,7 @@ def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
 def points_figure(
     points: pd.DataFrame, varied: Sequence[str], look: FigureConfig | None = None
 ) -> Figure:
-    """Draw the mean errors with their intervals against the first numeric parameter that varies.
-
-    `look` names another parameter for the axis, its label, its unit and its scale.
-    """
+    """Draw mean errors with intervals against `look`'s, or the first numeric, parameter."""
     drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
     numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
     (first, *_) = numbers or ["method"]
