@@ -158,11 +158,10 @@ def page_table(results: Results) -> str:
     for method in METHODS:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
         shares = (100 * of["coverage_95"]).map("{:.1f}".format)
-        poses = ["", ""] if method.endswith("-known") else [shares["R"], shares["t"]]
-        t_d = of.loc["t_d"]
+        t_d, others = of.loc["t_d"], (shares.get(one, "") for one in ("R", "t", "skew"))
         sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
         rms = f"{t_d['rms_normalised']:.2f}"
-        rows.append([f"`{method}`", shares["t_d"], sampling, *poses, shares["skew"], rms])
+        rows.append([f"`{method}`", shares["t_d"], sampling, *others, rms])
     header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
     return markdown_table([*header, "t_d: rms of error / deviation"], rows)
 

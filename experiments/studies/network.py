@@ -10,7 +10,7 @@ cameras. Each is solved as `ssac sync` of its files does, in a process of its ow
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -32,8 +32,7 @@ from experiments.lab.summary import answered, by_group, digits, made_of, shown_t
 from experiments.lab.verify import between, follows, one_of
 from experiments.machine.parts import peak_memory_mb
 from experiments.scenes.simulate import ManyCameras
-from experiments.studies.coverage import QUANTITIES
-from experiments.studies.imperfect import held
+from experiments.studies.imperfect import HELD, held
 from experiments.studies.outdoor import PlacedRow, placed_errors, true_track
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
@@ -74,7 +73,7 @@ KINDS = (AS_RECORDED, TRUE_TRACKS)
 
 _ARM_ROUNDS = 40  # in which similarity and lever arm are fitted in turn
 
-_HELD = {name.lower(): QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
+_HELD = {name.lower(): quantity for name, quantity in HELD.items()}
 """Quantities whose regions of 95 % are counted."""
 
 _WORST = ("t_d_error_ms", "r_error_deg", "t_error_deg", "path_rmse_mm")
@@ -233,7 +232,7 @@ def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
     def row(group: pd.DataFrame) -> dict[str, Any]:
         good = answered(group)
         others = good[good["camera"] > 1]
-        measured = [str(name) for name in good][list(good).index("status") + 2 :]
+        measured = [one.name for one in fields(CameraRow)[2:]]
         summed = {one.column for one in _HELD.values()}
         row: dict[str, Any] = {"cameras": len(group), "answered": len(good)}
         row |= {name: good[name].mean() for name in measured if name not in summed}
