@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:  # slow imports, which lists of methods do not need
@@ -67,7 +67,7 @@ class Method:
     @property
     def function(self) -> "Callable[..., Estimate]":
         """The function that `runs` names."""
-        found: Callable[..., Estimate] = _imported(self.runs)
+        found: Callable[..., Estimate] = resolve_name(self.runs)
         return found
 
     @property
@@ -77,7 +77,7 @@ class Method:
 
     def keeps(self, views: Any) -> bool:
         """Whether the method's answer for these views is the estimate that it starts from."""
-        return bool(self.keeps_start and _imported(self.keeps_start)(views))
+        return bool(self.keeps_start and resolve_name(self.keeps_start)(views))
 
     @property
     def without_tracks(self) -> str:
@@ -173,9 +173,3 @@ def _declared_in(path: Path) -> Iterator[tuple[float, Method]]:
 def _value(node: ast.expr) -> Any:
     """Value of a declaration's argument: a literal, or a member of `Input`."""
     return Input[node.attr] if isinstance(node, ast.Attribute) else ast.literal_eval(node)
-
-
-def _imported(place: str) -> Any:
-    """Import what "module:function" names."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
