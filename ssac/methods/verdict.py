@@ -7,7 +7,7 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.config import N_MIN
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
-from ssac.events import US_PER_S, rounding_variance_s2, time_quantum_s
+from ssac.events import US_PER_S, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
 from ssac.geometry.pose import tangent_basis
 from ssac.rules import VerdictRules
@@ -185,11 +185,6 @@ def quantum_s(camera: Observation) -> float:
     if len(some_us) == 0 or np.any(some_us % 1000):
         return 0.0
     return time_quantum_s(camera.events["t"] / US_PER_S)
-
-
-def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
-    """Widen the offset's deviation by the shift that the rounding of times may cause."""
-    return widened(estimate, rounding_variance_s2(*quanta_s))
 
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:

@@ -24,8 +24,9 @@ from ssac.camera import Cameras, Rig, with_usual_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.events import rounding_variance_s2
 from ssac.methods.method import Input, Method
-from ssac.methods.verdict import jumped, less_sure, quantum_s
+from ssac.methods.verdict import jumped, quantum_s, widened
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
 from ssac.pipeline.opened import IMAGES, MEANS, Source, cameras_of, check_two, kind_of
@@ -366,10 +367,10 @@ class Chain:
 
     def _answer(self, pair: _Pair, estimate: Estimate) -> Answer:
         """Make an answer of an estimate, with a wider deviation where times were rounded."""
-        quanta_s = quantum_s(pair.cleans[0]), quantum_s(pair.cleans[1])
+        hidden_s2 = rounding_variance_s2(*map(quantum_s, pair.cleans))
         rig, seconds = self.rig.pair(*pair.places), dict(self.watch.seconds)
         made_from = pair.method, pair.cleans, rig, pair.config, self.rig.name, pair.start
-        return Answer(less_sure(estimate, quanta_s), *made_from, seconds=seconds)
+        return Answer(widened(estimate, hidden_s2), *made_from, seconds=seconds)
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         """Make an answer of the refusal of a stage before the method."""

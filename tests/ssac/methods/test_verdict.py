@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from ssac import Chain, Config, Estimate, Observation, Status, ssac, two_views
 from ssac.estimate import SETTLED_BY
+from ssac.events import rounding_variance_s2
 from ssac.methods.hypotheses import Choice, Solution, choose
 from ssac.methods.tangency import tangency_from
-from ssac.methods.verdict import certain, doubt, less_sure
+from ssac.methods.verdict import certain, doubt, widened
 from ssac.rules import RetryRules, Rules
 from ssac.track.observation import tracked
 from tests.ssac.box import box_events
@@ -161,7 +162,8 @@ def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_deg, status):
 @pytest.mark.parametrize("quanta_s", [(0.0, 0.0), (0.001, 0.0), (0.001, 0.01), (0.01, 0.01)])
 def test_rounded_times_widen_the_offsets_deviation_by_that_of_an_even_distribution(quanta_s):
     covariance = np.diag([1e-6, 1e-8, 1e-8, 1e-8, 1e-8, 1e-8])
-    found = less_sure(Estimate("joint", t_d_std_s=1e-3, covariance=covariance), quanta_s)
+    found = Estimate("joint", t_d_std_s=1e-3, covariance=covariance)
+    found = widened(found, rounding_variance_s2(*quanta_s))
     # Each of the two times has an error uniform over its step, whose deviation is step / sqrt(12).
     variance = 1e-6 + sum(step_s**2 for step_s in quanta_s) / 12.0
     assert found.t_d_std_s == pytest.approx(np.sqrt(variance), rel=1e-12)
