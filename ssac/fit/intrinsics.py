@@ -56,10 +56,9 @@ class Allowance:
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
-        self._uncertain = uncertain_ones(rig)
         self._scales_px: Array | None = None  # (m,) `Prior.scale_px` of a clock's priors
         self._intrinsics_px = 0.0  # the same of the intrinsics
-        self.is_made = not (has_priors or self._uncertain)  # nothing is left to learn
+        self.is_made = not (has_priors or uncertain_ones(rig))  # nothing is left to learn
 
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take the priors' scales from a fit whose loss has the scale of the last fit's.
@@ -89,22 +88,18 @@ class Allowance:
             replace(prior, scale_px=float(scale_px))
             for prior, scale_px in zip(problem.priors, self._scales_px, strict=True)
         ]
-        of_cameras = [
-            Prior(problem.size + k, 0.0, one.deviation, self._intrinsics_px)
-            for k, one in enumerate(self._uncertain)
-        ]
-        columns = (*problem.columns, *columns_of(problem))
-        return replace(problem, columns=columns, priors=(*of_clock, *of_cameras))
+        return with_intrinsics(replace(problem, priors=tuple(of_clock)), self._intrinsics_px)
 
 
-def columns_of(problem: Problem) -> tuple[Column, ...]:
-    """Return the columns of a rig's uncertain intrinsics, for the points of a problem."""
-    moves, found = _moves(problem), []
-    for one in uncertain_ones(problem.rig):
+def with_intrinsics(problem: Problem, scale_px: float = np.nan) -> Problem:
+    """Add a rig's uncertain intrinsics, the scale of whose priors is `Prior.scale_px`."""
+    moves, columns, priors = _moves(problem), [*problem.columns], [*problem.priors]
+    for place, one in enumerate(uncertain_ones(problem.rig), problem.size):
         both = [np.zeros_like(problem.pairs.p1_px) for _ in moves]
         both[one.camera] = moves[one.camera][one.place]
-        found.append(Column(both[0], both[1], is_of_camera=True))
-    return tuple(found)
+        columns.append(Column(both[0], both[1], is_of_camera=True))
+        priors.append(Prior(place, 0.0, one.deviation, scale_px))
+    return replace(problem, columns=tuple(columns), priors=tuple(priors))
 
 
 def _moves(problem: Problem) -> tuple[Array, Array]:
@@ -162,12 +157,9 @@ def questioned(residuals: Residuals) -> Residuals:
     if off_px < problem.rules.least_from_epipole * spread_px:
         return residuals
     good = replace(rig, cam1=with_deviations(rig.cam1), cam2=with_deviations(rig.cam2))
-    ones, columns = uncertain_ones(good), columns_of(replace(problem, rig=good))
-    of_cameras = [Prior(problem.size + k, 0.0, one.deviation) for k, one in enumerate(ones)]
-    columns, priors = (*problem.columns, *columns), (*problem.priors, *of_cameras)
-    values = np.append(residuals.parameters.columns, np.zeros(len(ones)))
-    parameters = replace(residuals.parameters, columns=values)
-    return linearise(replace(problem, rig=good, columns=columns, priors=priors), parameters)
+    asked, columns = with_intrinsics(replace(problem, rig=good)), residuals.parameters.columns
+    values = np.append(columns, np.zeros(len(asked.columns) - len(columns)))
+    return linearise(asked, replace(residuals.parameters, columns=values))
 
 
 def evidence(residuals: Residuals, hidden_px: Array) -> float:

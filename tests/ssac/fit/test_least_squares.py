@@ -194,7 +194,7 @@ def test_columns_move_points_as_rays_undistorted_with_other_intrinsics(lens):
     pixels = np.random.default_rng(0).uniform((20, 20), (WIDTH - 20, HEIGHT - 20), (50, 2))
     points, nothing, step = undistort_points(camera, pixels), np.zeros((50, 2)), 1e-4
     pairs = WeighedPairs(np.arange(50.0), points, points, nothing, np.ones(50), 0.0)
-    columns = intrinsics.columns_of(Problem(pairs, Rig(camera, camera), FitRules()))
+    columns = intrinsics.with_intrinsics(Problem(pairs, Rig(camera, camera), FitRules())).columns
 
     def ideal(other):  # in the image of the first camera's K
         rays = (undistort_points(other, pixels) - other.K[:2, 2]) / np.diag(other.K)[:2]
