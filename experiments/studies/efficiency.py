@@ -177,7 +177,7 @@ def fisher_information(
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = fundamental_from_pose(K1, K2, R, t)
     by_t_d = sampson_derivative(F, p1_px, p2_px, v2_px_s)
-    J = np.column_stack([by_t_d, pose_jacobian(R, t, K1, K2, p1_px, p2_px)])
+    J = np.column_stack([by_t_d, pose_jacobian(R, t, K1, K2, p1_px, p2_px, F)])
     J = J / np.broadcast_to(noise_px, len(J))[:, None]
     return np.asarray(J.T @ J)
 

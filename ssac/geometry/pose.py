@@ -47,18 +47,15 @@ def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px
     from even over its entries, which `pose_from_fundamental` weights equally; here the mean
     squared difference of Sampson distances under the pose and under F is minimised.
     """
-
-    def distances_at(R: Array, t: Array) -> Array:
-        at = epipolar.fundamental_from_pose(K1, K2, R, t)
-        return epipolar.sampson_distance(at, p1_px, p2_px)
-
     R, t = pose
     target = epipolar.sampson_distance(F, p1_px, p2_px)
-    target = target * np.sign(target @ distances_at(R, t))  # F's sign is free
-    for _ in range(10):
-        distances = distances_at(R, t)
-        jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px)
-        step = np.linalg.lstsq(jacobian, target - distances)[0]
+    for k in range(10):
+        at = epipolar.fundamental_from_pose(K1, K2, R, t)
+        distances = epipolar.sampson_distance(at, p1_px, p2_px)
+        if k == 0:
+            target = target * np.sign(target @ distances)  # F's sign is free
+        jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px, at)
+        step = np.asarray(np.linalg.lstsq(jacobian, target - distances)[0])
         R, t = moved_pose(R, t, step)
         if np.linalg.norm(step) < 1e-7:  # [rad]
             break
@@ -66,13 +63,9 @@ def nearest_pose(pose: Pose, F: Array, K1: Array, K2: Array, p1_px: Array, p2_px
 
 
 def pose_jacobian(
-    R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
+    R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array
 ) -> Array:
-    """Jacobian (N, 5) [px/rad] of the Sampson distances by a small change of the pose.
-
-    F is the fundamental matrix of the pose, where it is known already.
-    """
-    F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
+    """Jacobian (N, 5) [px/rad] of the Sampson distances from F by a small change of its pose."""
     dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]
     dF = epipolar.fundamental_from_essential(np.stack(dE), K1, K2)
