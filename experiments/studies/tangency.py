@@ -34,9 +34,9 @@ from ssac.estimate import Estimate
 from ssac.geometry.pose import Pencil
 from ssac.methods import tangency
 from ssac.methods.rigid_body import body_points
-from ssac.methods.tangency import TangencyConfig, refine_tangents
+from ssac.methods.tangency import refine_tangents
 from ssac.points import PointTrack
-from ssac.rules import PointRules
+from ssac.rules import PointRules, TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.outline import OutlineConfig, Tangents, tangents
@@ -57,19 +57,19 @@ JOINT = "joint"  # row of the refinement from which all variants start
 _WORST = f"{T_D_ERROR.column}_worst"
 
 
-def _outline(**changes: Any) -> TangencyConfig:
-    return TangencyConfig(outline=OutlineConfig(**changes))
+def _outline(**changes: Any) -> TangencyRules:
+    return TangencyRules(outline=OutlineConfig(**changes))
 
 
 AS_IT_IS = "as it is"
 
 VARIANTS = {
-    AS_IT_IS: TangencyConfig(),
-    "midway between the tangents": TangencyConfig(apart=False),
-    "loss of 95 % efficiency": TangencyConfig(cauchy=2.385, wider_cauchy=2.385),
-    "loss turns at 1": TangencyConfig(cauchy=1.0),
-    "all pairs weigh alike": TangencyConfig(sharp_px=100.0),
-    "sharpest pairs err by 0.15 px": TangencyConfig(sharp_px=0.15),
+    AS_IT_IS: TangencyRules(),
+    "midway between the tangents": TangencyRules(apart=False),
+    "loss of 95 % efficiency": TangencyRules(cauchy=2.385, wider_cauchy=2.385),
+    "loss turns at 1": TangencyRules(cauchy=1.0),
+    "all pairs weigh alike": TangencyRules(sharp_px=100.0),
+    "sharpest pairs err by 0.15 px": TangencyRules(sharp_px=0.15),
     "not moved outward": _outline(outward=0.0),
     "moved outward by 1": _outline(outward=1.0),
     "edges not ahead": _outline(ahead_px=0.0),
@@ -85,8 +85,8 @@ VARIANTS = {
     "half-window 40 ms": _outline(half_window_s=0.040),
     "half-window 60 ms": _outline(half_window_s=0.060),
     "smoothed over 60 ms": _outline(smoothing_s=0.060),
-    "a sample every 10 ms": TangencyConfig(step_s=0.010),
-    "a sample every 40 ms": TangencyConfig(step_s=0.040, outline=OutlineConfig(smoothing_s=0.080)),
+    "a sample every 10 ms": TangencyRules(step_s=0.010),
+    "a sample every 40 ms": TangencyRules(step_s=0.040, outline=OutlineConfig(smoothing_s=0.080)),
 }
 
 
@@ -95,7 +95,7 @@ class VariantCell(FlightCell):
     """A variant on a flight with an offset."""
 
     variant: str
-    config: TangencyConfig | None  # None: the joint refinement, from which the others start
+    config: TangencyRules | None  # None: the joint refinement, from which the others start
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def flights() -> Iterator[tuple[SimConfig, int, int]]:
 
 def variant_cells() -> list[VariantCell]:
     """List the joint refinement and every variant on each flight."""
-    variants: dict[str, TangencyConfig | None] = {JOINT: None, **VARIANTS}
+    variants: dict[str, TangencyRules | None] = {JOINT: None, **VARIANTS}
     return [VariantCell(*one, *variant) for one in flights() for variant in variants.items()]
 
 

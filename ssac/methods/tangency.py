@@ -18,14 +18,7 @@ import numpy as np
 from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
-from ssac.fit.least_squares import (
-    Parameters,
-    Problem,
-    Residuals,
-    WeighedPairs,
-    linearise,
-    solve,
-)
+from ssac.fit.least_squares import Parameters, Problem, Residuals, WeighedPairs, linearise, solve
 from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation, sampson_derivative
 from ssac.geometry.pose import pencils, pose_step
 from ssac.methods.algorithms import algorithm_2
@@ -39,8 +32,6 @@ from ssac.rules import TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion, PointMotion
 from ssac.track.outline import OutlineEvents, Tangents, near_outline, tangents
-
-TangencyConfig = TangencyRules  # the name that studies of its variants use
 
 
 def for_blind(views: TwoViews) -> TwoViews:

@@ -16,7 +16,7 @@ from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ablation_table, points_figure, points_table, sweep_study
 from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError
-from ssac.methods.tangency import TangencyConfig
+from ssac.rules import TangencyRules
 from tests.experiments.command import run
 from tests.experiments.reported import RESULTS
 
@@ -152,5 +152,5 @@ def test_the_shards_of_an_ablation_are_merged_to_its_files(tmp_path) -> None:
 
 
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:
-    assert VARIANTS[AS_IT_IS] == TangencyConfig()
+    assert VARIANTS[AS_IT_IS] == TangencyRules()
     assert len(set(VARIANTS.values())) == len(VARIANTS)

@@ -24,9 +24,8 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, solve
 from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
-from ssac.methods.tangency import TangencyConfig
 from ssac.pipeline.api import two_views
-from ssac.rules import FitRules
+from ssac.rules import FitRules, TangencyRules
 from ssac.search.two_views import TwoViews
 from tests.ssac import synthetic
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
@@ -213,7 +212,7 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(tr
         assert delayed.t_d_bound_ms == pytest.approx(found[method].t_d_bound_ms, rel=1e-2)
     assert len({one.sigma_px for one in found.values()}) == 3
     # tangency has two tangents at each of its sample times, unless the object is out of view.
-    share = found["tangency"].n_samples / (2.0 * 10.0 / TangencyConfig().step_s)
+    share = found["tangency"].n_samples / (2.0 * 10.0 / TangencyRules().step_s)
     assert 0.7 < share < 1.0
 
 
