@@ -220,7 +220,7 @@ def mean_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
 def sharp_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
     """Sample as the joint refinement does."""
     times_s = views.sample_times(np.array([t_d_s]))[0]
-    return sharp_pairs(*views.sharp_at(times_s, t_d_s), t_d_s)[0]
+    return sharp_pairs(views, times_s, t_d_s)[0]
 
 
 def tangent_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:

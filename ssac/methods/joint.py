@@ -23,7 +23,6 @@ from ssac.methods.method import method
 from ssac.methods.refinement import Refinement, Round, smooth_errors
 from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.search.two_views import TwoViews
-from ssac.track.motion import SharpTrack
 
 
 @method(
@@ -79,13 +78,9 @@ class _OfPositions(Refinement):
         super().__init__(start, views)
         self.max_rounds = self.rules.joint.max_rounds
         self.times_s = views.sample_times(np.array([start.t_d_s]))[0]
-        self.one = views.motion1, views.motion1.sharp_at(self.times_s)
 
     def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
-        if seen.motion1 is not self.one[0]:  # another readout of a shutter was tried
-            self.one = seen.motion1, seen.motion1.sharp_at(self.times_s)
-        track2 = seen.motion2.sharp_at(seen.on_clock_2(self.times_s, parameters.t_d_s))
-        pairs, self.size_px = sharp_pairs(self.one[1], track2, parameters.t_d_s)
+        pairs, self.size_px = sharp_pairs(seen, self.times_s, parameters.t_d_s)
         return pairs
 
     def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:
@@ -124,11 +119,12 @@ class _OfPositions(Refinement):
         return smooth_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
 
 
-def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:
-    """Pair two tracks, sampled at the same instants, where both are valid.
+def sharp_pairs(views: TwoViews, times_s: Array, t_d_s: float) -> tuple[WeighedPairs, float]:
+    """Pair sharp positions at times (n,) [s] of camera 1's clock, where both views have them.
 
     Pairs are weighed by the inverse of the images' size, whose median [px] is the second result.
     """
+    track1, track2 = views.sharp_at(times_s, t_d_s)
     valid = track1.valid & track2.valid
     sizes_px = np.hypot(track1.sizes_px[valid], track2.sizes_px[valid]) + 1e-12
     size_px = float(np.median(sizes_px)) if len(sizes_px) else 0.0

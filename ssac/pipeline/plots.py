@@ -137,7 +137,7 @@ def fit_of(answer: Answer) -> Fit | None:
         pairs, _ = tangents_under(parameters, views, tangent_times(views, t_d_s))
     elif estimate.covariance is not None or answer.method.finds_readout:
         times_s = views.sample_times(np.array([t_d_s]))[0]
-        pairs, _ = sharp_pairs(*views.sharp_at(times_s, t_d_s), t_d_s)
+        pairs, _ = sharp_pairs(views, times_s, t_d_s)
     else:
         pairs = views.pairs_at(t_d_s)
     if len(pairs.times_s) == 0:

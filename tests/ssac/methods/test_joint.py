@@ -358,7 +358,7 @@ def test_a_skew_far_from_its_prior_speaks_for_a_jump(skew_ppm, status):
     parameters = Parameters(START.t_d_s, START.R, START.t, np.zeros(1))
     model = clock_model(views, START)
     times_s = views.sample_times(np.array([START.t_d_s]))[0]
-    pairs, _ = sharp_pairs(*views.sharp_at(times_s, START.t_d_s), START.t_d_s)
+    pairs, _ = sharp_pairs(views, times_s, START.t_d_s)
     plain = Problem(pairs, views.rig, views.rules.fit)
     problem = model.problem(plain, parameters, views)
     last = linearise(problem, model.solve(problem, parameters).parameters)
