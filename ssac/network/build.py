@@ -18,12 +18,11 @@ from ssac.track.moments import View, perspective_shifts, second_moments, spreads
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A network, and the cameras left out of it."""
+    """A network and the cameras in it."""
 
     members: list[int]  # cameras in it, in input order; the first is its reference
     network: Network
     solved: Solved
-    misfits: list[int]  # cameras of the group that fit nowhere
 
     @property
     def states(self) -> dict[int, CameraState]:
@@ -46,8 +45,7 @@ def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) 
             break
         states = {k: state for k, state in built.states.items() if k != worst}
         built = _first(Placed(states, 0), group, priors, distance)
-    misfits = [k for k in group.members if k not in built.members]
-    return replace(_whole(built, group.links, body), misfits=misfits)
+    return _whole(built, group.links, body)
 
 
 def _supported(
@@ -90,7 +88,7 @@ def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) 
         is_fast = abs(state.rate) > rules.fast_sigmas * priors[k].rate
         expected.append(replace(priors[k], expected_rate=state.rate if is_fast else 0.0))
     network = Network(cameras, expected, masks, states, path, sigmas, jerk, distance, rules)
-    return Built(members, *adjust(network, rules.first_rounds, with_intrinsics=False), [])
+    return Built(members, *adjust(network, rules.first_rounds, with_intrinsics=False))
 
 
 def _misfit(built: Built, rules: NetworkRules) -> int | None:
@@ -126,7 +124,7 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
         enabled.append(fit.used & (off < by.gate))
     agreed = agreeing(links, built.members, network.states, by)
     network = replace(network, enabled=enabled, constraints=agreed)
-    return Built(built.members, *adjust(network, by.rounds), [])
+    return Built(built.members, *adjust(network, by.rounds))
 
 
 def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:

@@ -207,15 +207,13 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     return Link(clock, estimate.has_offset, cost, *pose, factor)
 
 
-def _priors_of(
-    camera: Camera, has_frames: bool, skew_prior_ppm: float, pose_is_known: bool
-) -> Priors:
+def _priors_of(seen: Sightings, skew_prior_ppm: float, pose_is_known: bool) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
-    std = np.array(camera.intrinsics_std_px, dtype=np.float64)
-    focal = std[:2] / np.diag(camera.K)[:2]
+    std = np.array(seen.camera.intrinsics_std_px, dtype=np.float64)
+    focal = std[:2] / np.diag(seen.camera.K)[:2]
     return Priors(
         rate=PPM * skew_prior_ppm,
-        readout_s=READOUT_STD_S if has_frames and camera.readout_s is None else 0.0,
+        readout_s=READOUT_STD_S if seen.has_frames and seen.camera.readout_s is None else 0.0,
         focal=(float(focal[0]), float(focal[1])),
         centre_px=(float(std[2]), float(std[3])),
         pose_is_known=pose_is_known,
@@ -237,22 +235,21 @@ def solve_network(
     known is held where the links place its camera.
     """
     listed, built_all = list(cameras), list[Built]()
-    priors = [
-        _priors_of(seen.camera, seen.has_frames, skew_prior_ppm, pose_is_known) for seen in listed
-    ]
+    priors = [_priors_of(seen, skew_prior_ppm, pose_is_known) for seen in listed]
     answers = [
         CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
     ]
     for members in groups(len(listed), links):
         if len(members) < 2:
             continue
-        group, built, reason = Group(listed, links, members, rules.network), None, _NO_PATH
+        group, built = Group(listed, links, members, rules.network), None
         try:
             built = build(group, priors, distance, rules.body)
+            reason = _NO_PATH if built is None else _MISFIT
         except np.linalg.LinAlgError:
             reason = _OPEN
-        for k in members if built is None else built.misfits:
-            answers[k] = replace(answers[k], reason=reason if built is None else _MISFIT)
+        for k in members:
+            answers[k] = replace(answers[k], reason=reason)
         if built is not None:
             built_all.append(built)
             for place, k in enumerate(built.members):

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.clock import PPM
-from ssac.points import PointTrack
 from ssac.rules import PointRules
+from ssac.search.object_track import ShapedTrack
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.silhouette import Images
 
@@ -68,20 +68,14 @@ class Sightings:
 
 
 def sightings(
-    track: PointTrack,
-    camera: Camera,
-    name: str,
-    has_frames: bool,
-    rules: PointRules,
-    spreads_px2: Array | None = None,
-    images: Images | None = None,
+    shaped: ShapedTrack, camera: Camera, name: str, has_frames: bool, rules: PointRules
 ) -> Sightings:
     """Prepare the track of one camera, with what silhouettes tell of its points."""
-    motion = point_motion(track, camera, rules, name=name)
-    known = np.isfinite(undistort_points(camera, track.points_px)[:, 0])
-    spreads = None if spreads_px2 is None else spreads_px2[known]
+    motion = point_motion(shaped.track, camera, rules, name=name)
+    known = np.isfinite(undistort_points(camera, shaped.track.points_px)[:, 0])
+    spreads = None if shaped.spreads_px2 is None else shaped.spreads_px2[known]
     points = motion.points_px, motion.rows, motion.sigmas_px
-    images = None if images is None else images.of(known)
+    images = None if shaped.images is None else shaped.images.of(known)
     return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads, images)
 
 
@@ -228,12 +222,12 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
 
 @dataclass(frozen=True)
 class Priors:
-    """Prior deviations of a camera's parameters."""
+    """Prior deviations of a camera's parameters; 0: exact."""
 
-    rate: float = 1000.0 * PPM
-    readout_s: float = 0.01
-    focal: tuple[float, float] = (0.0, 0.0)  # 0: exact
-    centre_px: tuple[float, float] = (0.0, 0.0)
+    rate: float
+    readout_s: float
+    focal: tuple[float, float]
+    centre_px: tuple[float, float]
     roughness: float = 200.0 * PPM  # change of the rate from one piece of its clock to the next
     expected_rate: float = 0.0
     pose_is_known: bool = False  # it is held where the pairs place it

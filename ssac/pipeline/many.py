@@ -366,18 +366,17 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     """Return a camera's sightings of the object; none where its events show no object."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
     rules, camera = chain.config.rules.points, as_doubted(k, clean.camera, pairs)
-    if clean.track is not None:
-        return sightings(clean.track, camera, name, clean.has_track, rules)
     try:
-        if len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
+        if clean.track is not None:
+            shaped = ShapedTrack(clean.track, None)
+        elif len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
             shaped = ShapedTrack(track_of_events(clean, chain.config), None)
         else:
             events = chain.recorded(k).events
             shaped = shaped_track_of_events(clean, events, chain.config)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
-    shapes = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, camera, name, clean.has_track, rules, *shapes)
+    return sightings(shaped, camera, name, clean.has_track, rules)
 
 
 def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -15,6 +14,7 @@ from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.points import PointTrack
 from ssac.rules import Rules
+from ssac.search.object_track import ShapedTrack
 from tests.ssac.synthetic import project
 
 RULES = Rules()
@@ -74,9 +74,14 @@ class Flight:
 
 
 def seen_by(
-    track: PointTrack, name: str, has_frames: bool = False, camera: Camera = CAMERA, **more: Any
+    track: PointTrack,
+    name: str,
+    has_frames: bool = False,
+    camera: Camera = CAMERA,
+    spreads_px2: np.ndarray | None = None,
 ) -> Sightings:
-    return sightings(track, camera, name, has_frames, RULES.points, **more)
+    shaped = ShapedTrack(track, spreads_px2)
+    return sightings(shaped, camera, name, has_frames, RULES.points)
 
 
 def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -> Flight:
