@@ -46,15 +46,13 @@ def correlated_covariance(
 ) -> Array:
     """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
-    `times_s` has one series after another, each ascending; `jacobian` (n, p) has the residuals'
-    derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
-    derivatives of the loss. Each parameter has a prior deviation (p,), PRIOR where nothing is
-    known; in the fit one such deviation counts as `prior_scales_px` (p,), or where NaN as an
-    independent residual. Errors that series have in common count for the parameters at the places
-    `common` (c,); they may reduce the variance of the first of these only if `lessens`.
-
-    `kinds` (n,), from 0 on, separate residuals whose errors are different processes; each series
-    is of one kind. None: all residuals are of one kind.
+    `times_s` has one series after another, each ascending and of one of the `kinds` (n,) of errors,
+    from 0 on; None: all are of one. `jacobian` (n, p) has the residuals' derivatives [px per unit],
+    `slopes_px` and `curvatures` (n,) are the first and second derivatives of the loss. Each
+    parameter has a prior deviation (p,), PRIOR where nothing is known; in the fit one such
+    deviation counts as `prior_scales_px` (p,), or where NaN as an independent residual. Errors that
+    series have in common count for the parameters at the places `common` (c,); they may reduce the
+    variance of the first of these only if `lessens`.
 
     A short recording shows few of the slowest errors, and by chance none. If `cautious`, it has at
     most as many degrees of freedom as longest fading times, and if few, no variance is reduced.
@@ -109,8 +107,6 @@ def mean_curvature(curvatures: Array, rules: FitRules) -> float:
 
 def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
     """Inverse of a loss's Hessian (p, p) in orthonormal parameters, eigenvalues bounded below."""
-    # A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
-    # were curved a little.
     shares, axes = np.linalg.eigh(bread)
     return np.asarray(axes / np.maximum(shares, rules.least_curvature * curvature) @ axes.T)
 
