@@ -245,8 +245,7 @@ def solve(
     all steps are made.
     """
     columns = np.zeros(len(problem.columns))
-    kept = start.columns[: len(columns)]
-    columns[: len(kept)] = kept
+    columns[: len(start.columns)] = start.columns[: len(columns)]
     parameters, free = replace(start, columns=columns), problem.free
     change: Array = np.zeros(problem.size)
     step = change

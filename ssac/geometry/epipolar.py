@@ -12,8 +12,6 @@ import numpy as np
 
 from ssac.arrays import Array
 
-Entries = Array | Sequence[float]
-
 CAUCHY = 2.385  # scale of Cauchy's loss, in robust deviations: 95 % efficiency on Gaussian noise
 TO_DEVIATION = 1.4826  # from the median absolute value of Gaussian noise to its deviation
 
@@ -76,7 +74,7 @@ def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
 
 
 def epipolar_terms(
-    f: Entries, u1: float, v1: float, u2: float, v2: float
+    f: Array | Sequence[float], u1: float, v1: float, u2: float, v2: float
 ) -> tuple[float, float, float, float, float]:
     """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
 

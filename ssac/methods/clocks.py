@@ -95,16 +95,12 @@ class ClockModel:
         """Add columns and priors of clock and readouts; `parameters` are those of the sampling."""
         pairs, shutters, first = problem.pairs, self.shutters, self.first_readout
         nothing = np.zeros_like(pairs.p1_px)
+        changes = zip(self._functions(pairs.times_s), self.values(parameters), strict=True)
         columns = [
             Column(nothing, by[:, None] * pairs.v2_px_s, float(value), True)
-            for by, value in zip(
-                self._functions(pairs.times_s), self.values(parameters), strict=True
-            )
+            for by, value in changes
         ]
-        priors = [
-            Prior(FIRST_COLUMN + k, 0.0, float(deviation))
-            for k, deviation in enumerate(self.deviations)
-        ]
+        priors = [Prior(k, 0.0, float(one)) for k, one in enumerate(self.deviations, FIRST_COLUMN)]
         if shutters.cameras:
             times_s = pairs.times_s, self.clock(parameters).cam2_from_cam1(pairs.times_s)
             values = self.readouts_s(parameters).tolist()
@@ -144,8 +140,8 @@ class ClockModel:
     def told(self, estimate: Estimate, residuals: Residuals, covariance: Array) -> Estimate:
         """Add to an estimate the clock found, and the readouts stated or found."""
         problem, parameters = residuals.problem, residuals.parameters
-        said = [camera.readout_s for camera in (problem.rig.cam1, problem.rig.cam2)]
-        readouts_s = np.array([np.nan if one is None else one for one in said])
+        said = problem.rig.cam1.readout_s, problem.rig.cam2.readout_s
+        readouts_s = np.array(said, np.float64)  # NaN: unknown
         stds_s, chosen = 0.0 * readouts_s, list(self.shutters.cameras)
         free = np.searchsorted(problem.free, self.first_readout + np.arange(len(chosen)))
         readouts_s[chosen] = self.shutters.within(self.readouts_s(parameters))

@@ -136,8 +136,7 @@ class Choice:
             return refused(estimate, uniform())
         of_means = any(isinstance(one, ObjectMotion) for one in views.motions)
         is_clear = start.status == Status.OK and of_means
-        is_searched = is_clear or start.status == Status.AMBIGUOUS_OFFSET
-        if not is_searched:
+        if not (is_clear or start.status == Status.AMBIGUOUS_OFFSET):
             return estimate
         found = valleys(start.candidates_s, start.costs, estimate.t_d_s, rules.search)
         if is_clear:
@@ -229,9 +228,8 @@ def is_in_front(estimate: Estimate, views: TwoViews) -> bool:
     if estimate.R is None or estimate.t is None:
         return False
     views = views.under(estimate.clock)
-    rays1, rays2 = views.pairs_at(estimate.t_d_s).rays(views.rig)
-    in_front = share_in_front(estimate.R, estimate.t, rays1, rays2)
-    return in_front >= views.rules.search.min_in_front
+    rays = views.pairs_at(estimate.t_d_s).rays(views.rig)
+    return share_in_front(estimate.R, estimate.t, *rays) >= views.rules.search.min_in_front
 
 
 def _offsets_of_valleys(start: Estimate, rules: Rules) -> list[float]:

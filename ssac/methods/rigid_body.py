@@ -124,8 +124,7 @@ def _followed(
         is_there = (depths1 > 0.0) & (depths2 > 0.0)
         return np.where(is_there[:, None], middle, np.nan)
 
-    own_s = shapes[0].times_s, clock.cam1_from_cam2(shapes[1].times_s)
-    own_s = np.round(own_s[0], 6), np.round(own_s[1], 6)
+    own_s = np.round(shapes[0].times_s, 6), np.round(clock.cam1_from_cam2(shapes[1].times_s), 6)
     start_s, end_s = max(one[0] for one in own_s), min(one[-1] for one in own_s)
     even_s = np.arange(start_s, end_s, rules.moments_step_s)
     looks, even = [], []
