@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -162,10 +161,8 @@ def report_page(content: dict[str, Any], animation: Animation) -> str:
     environment.filters["digits"] = digits
     environment.filters["words"] = _words
     environment.globals["json"] = partial(json.dumps, indent=1)
-    style = files("experiments.report") / "page" / "report.css"
     return environment.get_template("results_page.html").render(
         content,
-        style=style.read_text(encoding="utf-8").strip(),
         animation=animation,
         player=animation.player,
         angle_deg=FLIGHT.angle_deg,

@@ -4,11 +4,9 @@ The page has the same layout for an estimate and for a refusal: on a refused rec
 Nothing here decides anything; all numbers come from the answers.
 """
 
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -93,19 +91,9 @@ def environment(*loaders: BaseLoader) -> Environment:
         lstrip_blocks=True,
     )
     made.filters["fixed"] = lambda value, digits: f"{round(value, digits) + 0.0:.{digits}f}"
-    made.filters["script_json"] = script_json
     made.globals["normal_95"] = NORMAL_95
-    made.globals["ours"] = {
-        name: (files("ssac.pipeline") / "page" / name).read_text(encoding="utf-8").strip()
-        for name in ("page.css", "page.js")
-    }
+    made.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     return made
-
-
-def script_json(content: Any) -> str:
-    """Return content as JSON text that is safe inside a script element."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c")
 
 
 def player_of(
