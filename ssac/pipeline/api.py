@@ -1,5 +1,7 @@
 """One call from recordings to clocks and poses, for scripts, notebooks and the command line."""
 
+import difflib
+import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +22,7 @@ from ssac.methods.verdict import quantum_s
 from ssac.pipeline import opened as border
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput
+from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput, kind_of
 from ssac.pipeline.registry import EstimateFunction, choose_method
 from ssac.pipeline.report import html_of, report_json, report_rows, report_text
 from ssac.search.two_views import TwoViews
@@ -233,7 +235,7 @@ def sync(
         if estimate_readout and source.has_track:
             stated[k] = to_be_read_out(stated[k])
     models = replace(models, cameras=tuple(stated))
-    chain = Chain(sources, models, border.config_of(config, fields), log)
+    chain = Chain(sources, models, _config_of(config, fields), log)
     found: Result | NetworkResult
     if of_two:
         found = Result(replace(chain.answer(chosen), distance_m=known.distance_m))
@@ -252,6 +254,21 @@ def sync(
                 stacklevel=2,
             )
     return found
+
+
+def _config_of(config: Config | None, fields: dict[str, Any]) -> Config:
+    """Return a config with some fields replaced; SsacError for an unknown field."""
+    config = Config() if config is None else config
+    if not isinstance(config, Config):
+        raise SsacError(f"config: expected a ssac.Config, got {kind_of(config)}")
+    known = Config.__dataclass_fields__
+    arguments = list(inspect.signature(sync).parameters)[3:-1]  # not the recordings and their rig
+    for name in fields:
+        if name not in known:
+            near = difflib.get_close_matches(name, [*known, *arguments], 3)
+            like = f": did you mean {' or '.join(near)}?" if near else ""
+            raise SsacError(f"{name}: is no argument of sync and no field of ssac.Config{like}")
+    return replace(config, **fields)
 
 
 def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:

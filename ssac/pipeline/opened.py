@@ -3,21 +3,18 @@
 The messages here name files; faults of a recording itself are reported where it is cleaned.
 """
 
-import difflib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.arrays import Array, Events
 from ssac.camera import Camera, Cameras, Rig, check_cameras
-from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
 from ssac.files.damage import STRICT, Reading, check_is_file
@@ -34,12 +31,6 @@ CameraInput = Path | str | Events | Observation | EventFile | PointTrack
 
 RigInput = Path | str | Rig | Cameras | Sequence[Camera]
 """A rig file, a rig, or its cameras, whose poses are then not known."""
-
-_ARGUMENTS = (
-    "method", "config", "known_extrinsics", "cameras", "focal_std", "centre_std_px",
-    "estimate_readout", "reading", "known", "log",
-)  # fmt: skip
-"""Arguments of `sync` by name, besides the fields of a config."""
 
 
 @dataclass(frozen=True)
@@ -227,20 +218,6 @@ def check_distance(distance_m: float, rig: Cameras) -> None:
             f" taken as known, and {distance_m:g} m were stated: correct the one that is wrong, or"
             " leave it out"
         )
-
-
-def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
-    """Return a config with some fields replaced; SsacError for an unknown field."""
-    config = Config() if config is None else config
-    if not isinstance(config, Config):
-        raise SsacError(f"config: expected a ssac.Config, got {kind_of(config)}")
-    known = Config.__dataclass_fields__
-    for name in fields:
-        if name not in known:
-            near = difflib.get_close_matches(name, [*known, *_ARGUMENTS], 3)
-            like = f": did you mean {' or '.join(near)}?" if near else ""
-            raise SsacError(f"{name}: is no argument of sync and no field of ssac.Config{like}")
-    return replace(config, **fields)
 
 
 def _opened(
