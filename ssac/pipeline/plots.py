@@ -388,17 +388,16 @@ def _draw_over_time(canvas: Canvas, found: "InTime") -> None:
     rows = canvas.subplots(6, 1, sharex=True, gridspec_kw={"height_ratios": [2, 1] * 3})
     times_s = found.times_s - found.times_s[0]
     gaps = np.flatnonzero(np.diff(times_s) > 1.5 * np.median(np.diff(times_s))) + 1
-
-    def broken(values: Array) -> Array:  # a line does not cross a gap
-        return np.asarray(np.insert(values, gaps, np.nan))
-
+    times_s, truth_m, estimate_m = (
+        np.insert(values, gaps, np.nan, axis=0)  # a line does not cross a gap
+        for values in (times_s, found.truth_m, found.estimate_m)
+    )
     for k, name in enumerate("xyz"):
         path, difference = rows[2 * k], rows[2 * k + 1]
-        path.plot(broken(times_s), broken(found.truth_m[:, k]), color=_TRUTH, lw=4.0)
-        path.plot(broken(times_s), broken(found.estimate_m[:, k]), color="black", lw=1.0)
+        path.plot(times_s, truth_m[:, k], color=_TRUTH, lw=4.0)
+        path.plot(times_s, estimate_m[:, k], color="black", lw=1.0)
         path.set_ylabel(f"{name} [m]")
-        off_cm = 100.0 * (found.estimate_m[:, k] - found.truth_m[:, k])
-        difference.plot(broken(times_s), broken(off_cm), color=RED, lw=0.8)
+        difference.plot(times_s, 100.0 * (estimate_m - truth_m)[:, k], color=RED, lw=0.8)
         difference.axhline(0.0, color="grey", lw=0.5)
         difference.set_ylabel("off [cm]", fontsize="small")
     rows[-1].set_xlabel("time of the truth since the first common sample [s]")
