@@ -21,7 +21,7 @@ from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.epipolar import robust_deviation
 from ssac.pipeline import plots
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.streams import Grid, Seen, densities, grid_of
+from ssac.pipeline.streams import Seen, densities, grid_of
 from ssac.track.motion import ObjectMotion
 
 _INK, _FAINT = "#1d232b", "#c9ccd1"
@@ -180,7 +180,7 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
     is_common = all(seen.later_s is not None for seen in cameras)
     for k, seen in enumerate(cameras):
         times_s = np.linspace(*seen.span_s, most, dtype=np.float64)
-        track, motion, grid = seen.motion.at(times_s), seen.motion, grid_of(seen.clean.camera)
+        track, motion = seen.motion.at(times_s), seen.motion
         few, name, more = ~track.valid, "gap", "in gaps of the track"
         edge = np.zeros_like(few)
         if isinstance(motion, ObjectMotion):
@@ -198,7 +198,7 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
         title, camera = f"Samples in camera {k + 1}'s image", seen.clean.camera
         with _image_chart(charts, title, words, camera) as axes:
             extent = *axes.get_xlim(), *axes.get_ylim()
-            axes.imshow(densities(seen, grid), extent=extent, interpolation="none")
+            axes.imshow(densities(seen), extent=extent, interpolation="none")
             for which, color, label in (
                 (track.valid, plots.BLUE, "valid"),
                 (few, plots.RED, name),
@@ -230,7 +230,7 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
 @contextmanager
 def _image_chart(charts: list[Chart], title: str, words: str, camera: Camera) -> Iterator[Axes]:
     """Yield axes over a camera's undistorted field of view."""
-    grid: Grid = grid_of(camera)
+    grid = grid_of(camera)
     with _chart(charts, title, words, height_in=4.0 * grid.rows / grid.columns) as axes:
         right_px = grid.left_px + grid.cell_px * grid.columns
         bottom_px = grid.top_px + grid.cell_px * grid.rows

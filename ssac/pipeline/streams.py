@@ -191,8 +191,9 @@ def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
     }
 
 
-def densities(seen: Seen, grid: Grid) -> NDArray[np.uint8]:
+def densities(seen: Seen) -> NDArray[np.uint8]:
     """Draw the density of events as RGBA (rows, columns, 4): grey, the denser the more opaque."""
+    grid = grid_of(seen.clean.camera)
     _, points_px, _ = seen.points(seen.span_s, 3 * _MOST_EVENTS)
     cells, inside = grid.cells(points_px)
     counts = np.bincount(cells[inside], minlength=grid.rows * grid.columns)
