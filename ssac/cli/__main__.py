@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 from ssac.cli.exits import guarded
 
-PROGRAM = "python -m ssac.cli"
-
 
 def main(args: Sequence[str]) -> int:
     """Run a command line; return its exit code."""
@@ -16,9 +14,8 @@ def main(args: Sequence[str]) -> int:
 def _run(args: Sequence[str]) -> int:
     from ssac.cli.command_line import COMMANDS, command_line, run
 
-    return run(
-        command_line(COMMANDS, "Synchronise and calibrate two event cameras."), args, PROGRAM
-    )
+    app = command_line(COMMANDS, "Synchronise and calibrate two event cameras.")
+    return run(app, args, "python -m ssac.cli")
 
 
 if __name__ == "__main__":

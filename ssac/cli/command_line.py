@@ -19,8 +19,6 @@ from typer.main import get_command
 
 from ssac.cli.exits import BAD_INPUT, PIPE_CLOSED, fail
 
-DISTRIBUTION = "ssac-suite"
-
 Sections = Mapping[str, Sequence[tuple[str, str]]]
 """For each heading, a list of names, each with a line of text."""
 
@@ -177,7 +175,7 @@ def _write(sections: Sections, formatter: Any) -> None:
 def _show_version(asked: bool) -> None:
     if asked:
         try:
-            number = version(DISTRIBUTION)
+            number = version("ssac-suite")
         except PackageNotFoundError:
             number = "of an unknown version: the package is not installed"
         typer.echo(f"ssac {number}")

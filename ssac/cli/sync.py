@@ -2,7 +2,6 @@
 
 import webbrowser
 from functools import partial
-from importlib import import_module
 from itertools import count, takewhile
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,6 +28,7 @@ from ssac.cli.options import (
 )
 from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
 from ssac.errors import SsacError
+from ssac.estimate import Status
 from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 
 
@@ -298,8 +298,7 @@ def _check_search(given: SimpleNamespace) -> None:
 
 def help_sections() -> Sections:
     """Return the lists that end the help: methods and an estimate's statuses, with meanings."""
-    estimate = import_module("ssac.estimate")
-    statuses = [(str(status), status.meaning) for status in estimate.Status]
+    statuses = [(str(status), status.meaning) for status in Status]
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 

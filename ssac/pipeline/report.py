@@ -22,8 +22,6 @@ Rows = Sequence[tuple[str, str]]  # pairs of a name, which may be empty, and a v
 
 _NAME = 15  # columns of a row's name
 
-_OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
-
 
 def report_text(answer: Answer) -> str:
     """Return an answer as text for people, with the sign of the offset in words."""
@@ -68,8 +66,9 @@ def text_of(rows: Rows) -> str:
 def report_json(answer: Answer) -> dict[str, Any]:
     """Return an answer as a dictionary for JSON: units in the names, None for what is missing."""
     estimate = answer.estimate
+    of_clock = "t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm"
     return {
-        **{name: plain(getattr(estimate, name)) for name in _OF_CLOCK},
+        **{name: plain(getattr(estimate, name)) for name in of_clock},
         "readout_s": plain(estimate.readouts_s),
         "readout_std_s": plain(estimate.readouts_std_s),
         "R": plain(estimate.R),
