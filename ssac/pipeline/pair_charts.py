@@ -144,7 +144,7 @@ def _residual_charts(fit: plots.Fit, answer: Answer, most: int) -> list[Chart]:
     if fit.is_of_tangents and of_body >= answer.config.rules.search.min_pairs:
         words += f" The answer's other pairs, about {of_body} of a body's point, are left out."
     with _chart(charts, "Residuals over time", words) as axes:
-        since_s = fit.times_s - answer.paired.motions[0].span_s[0]
+        since_s = fit.pairs.times_s - answer.paired.motions[0].span_s[0]
         _dots(axes, np.column_stack([since_s, off_px])[thin], plots.BLUE, 3.0)
         axes.set(xlabel="time since the start of camera 1 [s]", ylabel="distance [px]")
         axes.set_ylim(-reach_px, reach_px)
@@ -166,11 +166,12 @@ def _residual_charts(fit: plots.Fit, answer: Answer, most: int) -> list[Chart]:
     )
     shares = np.abs(off_px[thin]) / sigma_px
     words = "Large ones in one part of the image alone speak of a wrong lens or intrinsics."
-    for k, camera in enumerate(answer.cameras):
+    for k, points_px in enumerate((fit.pairs.p1_px, fit.pairs.p2_px)):
+        camera = answer.cameras[k]
         with _image_chart(charts, f"Residuals in camera {k + 1}'s image", words, camera) as axes:
             for color, size, low, high, name in classes:
                 shown = (shares >= low) & (shares < high)
-                _dots(axes, fit.points_px[k][thin][shown], color, size, name)
+                _dots(axes, points_px[thin][shown], color, size, name)
     return charts
 
 

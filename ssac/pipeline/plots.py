@@ -111,10 +111,8 @@ def save(page: Figure, path: Path, dpi: int) -> None:
 class Fit:
     """The n pairs of which an estimate was made, and their distances from epipolar lines."""
 
+    pairs: WeighedPairs | PairsAt
     is_of_tangents: bool  # pairs of tangents to the outline; False: of positions
-    times_s: Array  # (n,) camera 1's clock
-    points_px: tuple[Array, Array]  # (n, 2) each
-    v2_px_s: Array | None  # (n, 2) velocities of the second points; None: not known
     distances_px: Array  # (n,) signed Sampson distances
 
     @property
@@ -142,13 +140,7 @@ def fit_of(answer: Answer) -> Fit | None:
         pairs = views.pairs_at(t_d_s)
     if len(pairs.times_s) == 0:
         return None
-    return Fit(
-        of_tangents,
-        pairs.times_s,
-        (pairs.p1_px, pairs.p2_px),
-        pairs.v2_px_s if isinstance(pairs, WeighedPairs) else None,
-        sampson_distance(estimate.F, pairs.p1_px, pairs.p2_px),
-    )
+    return Fit(pairs, of_tangents, sampson_distance(estimate.F, pairs.p1_px, pairs.p2_px))
 
 
 def best_s(answer: Answer) -> float:
@@ -213,12 +205,11 @@ def draw_minimum(axes: Axes, answer: Answer, fit: Fit | None) -> None:
     t_d_s, std_s = answer.estimate.t_d_s, answer.estimate.t_d_std_s
     reach_s = max(ZOOM_S, 4.0 * std_s) if np.isfinite(std_s) else ZOOM_S
     near_s: Array = np.linspace(-reach_s, reach_s, 121, dtype=np.float64)
-    if fit is None or fit.v2_px_s is None:
+    if fit is None or isinstance(fit.pairs, PairsAt):  # which have no velocities
         costs_px = d_avg_px(answer, t_d_s + near_s)
     else:
-        p1_px, p2_px = fit.points_px
-        p2_px = p2_px + near_s[:, None, None] * fit.v2_px_s
-        distances_px = epipolar_distance(np.asarray(answer.estimate.F), p1_px, p2_px)
+        p2_px = fit.pairs.p2_px + near_s[:, None, None] * fit.pairs.v2_px_s
+        distances_px = epipolar_distance(np.asarray(answer.estimate.F), fit.pairs.p1_px, p2_px)
         costs_px = np.nanmean(distances_px, axis=1)
     axes.plot(1e3 * near_s, costs_px, color=BLUE, lw=1.2)
     if np.isfinite(std_s):
