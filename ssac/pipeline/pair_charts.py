@@ -57,12 +57,12 @@ class Chart:
 
 
 def charts_of(answer: Answer, most: int) -> dict[str, list[Chart]]:
-    """Draw the charts that an answer allows, by topic, with at most `most` dots in each."""
+    """Draw the charts that an answer allows, by heading, with at most `most` dots in each."""
     fit = plots.fit_of(answer)
     return {
-        "cost": _cost_charts(answer, fit),
-        "residuals": [] if fit is None else _residual_charts(fit, answer, most),
-        "clock": _clock_charts(answer),
+        "What was searched": _cost_charts(answer, fit),
+        "What the fit leaves": [] if fit is None else _residual_charts(fit, answer, most),
+        "The clocks": _clock_charts(answer),
     }
 
 
