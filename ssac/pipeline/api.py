@@ -218,8 +218,8 @@ def sync(
     for name, is_given in of_two_alone.items():
         if is_given and not of_two:
             raise SsacError(f"{name}: is for two cameras, and more were given: leave it out")
-    models = border.opened_rig(rig, len(seen), cameras if of_two else None)
-    numbers = cameras if isinstance(rig, (str, Path)) and of_two else None
+    numbers = cameras if of_two else None
+    models = border.opened_rig(rig, len(seen), numbers)
     sources = border.opened(seen, models, numbers, reading)
     has_track = any(one.has_track for one in sources)
     chosen = choose_method(method, known_extrinsics, has_track)
