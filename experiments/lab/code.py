@@ -93,16 +93,12 @@ class SourceTree:
         if name and self._path(f"{module}.{name}"):
             return [(f"{module}.{name}", "")]
         source = self._source(module)
-        if _is_whole(module):
-            found.add(module)
-            (code,) = source.definitions[_ALWAYS]
-            return [use for _, use in code.imports] + [*self._named(code.words)]
         if name in source.imports:
             return [source.imports[name]]
         chosen = {name, _ALWAYS} & set(source.definitions)
         if not name or name not in chosen:
             chosen = set(source.definitions)
-        found |= {f"{module}:{one}" for one in chosen}
+        found |= {module if _is_whole(module) else f"{module}:{one}" for one in chosen}
         codes = [code for one in chosen for code in source.definitions[one]]
         return [use for code in codes for use in self._uses_of(module, source, code)]
 
