@@ -243,25 +243,25 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
 
 def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
-    rows: list[dict[str, Any] | None] = [None] * len(task)
+    found: list[dict[str, Any] | None] = [None] * len(task)
     try:
         keys = keys_of(task, measure)
-        rows = [cache.load_run(key) for key in keys]
-        missing = [cell for cell, row in zip(task, rows, strict=True) if row is None]
+        found = [cache.load_run(key) for key in keys]
+        missing = [cell for cell, row in zip(task, found, strict=True) if row is None]
         loaded = measure.load(missing, cache) if missing else None
     except WriteError:  # nor can other rows be written
         raise
     except Exception as error:  # any: the rows say so, and other recordings go on
         failed = refusal(measure, error, "recording")
-        return [failed if row is None else row for row in rows]
-    for index, (key, cell) in enumerate(zip(keys, task, strict=True)):
-        row = rows[index]
-        if row is not None:
-            continue
-        row = rows[index] = measured(cell, measure, lambda: loaded)
-        if row["status"] != CRASHED:
-            cache.save_run(key, row)
-    return [row for row in rows if row is not None]
+        return [failed if row is None else row for row in found]
+    rows = []
+    for key, cell, row in zip(keys, task, found, strict=True):
+        if row is None:
+            row = measured(cell, measure, lambda: loaded)
+            if row["status"] != CRASHED:
+                cache.save_run(key, row)
+        rows.append(row)
+    return rows
 
 
 def measured(cell: PlainCell, measure: Measure, load: Callable[[], Any]) -> dict[str, Any]:
