@@ -9,6 +9,7 @@ only when a figure is drawn: studies are listed without it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,9 +79,8 @@ _OTHERS = (Look("#882255", "<"), Look("#44AA99", ">"), Look("#999933", "p"), Loo
 
 def method_looks(methods: list[str]) -> dict[str, Look]:
     """Give each method its look; methods from outside take the spare ones in turn."""
-    others = [method for method in methods if method not in _LOOKS]
-    spare = {method: _OTHERS[i % len(_OTHERS)] for i, method in enumerate(others)}
-    return {method: _LOOKS.get(method) or spare[method] for method in methods}
+    spare = cycle(_OTHERS)
+    return {method: _LOOKS.get(method) or next(spare) for method in methods}
 
 
 def value_color(name: str, value: Any, place: float) -> Any:
