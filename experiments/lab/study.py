@@ -153,9 +153,8 @@ class Study:
             default, flag = self.options[name], name.replace("_", "-")
             if default is Parameter.empty:
                 words.append(str(value))
-            if default is Parameter.empty or value == default:
-                continue
-            words += [f"--no-{flag}"] if value is False else [f"--{flag}", str(value)]
+            elif value != default:
+                words += [f"--no-{flag}"] if value is False else [f"--{flag}", str(value)]
         return " ".join([*words, *([f"--shard {shard[0]}/{shard[1]}"] if shard != WHOLE else [])])
 
 
