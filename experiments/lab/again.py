@@ -96,27 +96,18 @@ def recomputed(
             mine, rows = rows[: len(task)], rows[len(task) :]
             where = ", ".join(f"{key} {value}" for key, value in task[0].columns.items())
             what = f"{kept.file}: {len(mine)} runs on the recording of {where}"
-            findings.append(found(what, partial(_compared, mine, study, kept, results)))
+            findings.append(found(what, partial(row_faults, mine, study, results)))
     return findings
 
 
-def _compared(rows: pd.DataFrame, study: Study, kept: Runs, results: Results) -> tuple[str, ...]:
-    committed = table_of_texts(results.text(kept.file))
-    return row_faults(rows, committed, measured_by(study), kept)
-
-
-def measured_by(study: Study) -> frozenset[str]:
-    """Names of the columns of floats; the others hold counts, texts and the identity of the run."""
-    return frozenset(one.name for one in fields(study.measure.row_type) if one.type is float)
-
-
-def row_faults(
-    again: pd.DataFrame, committed: pd.DataFrame, measured: Collection[str], kept: Runs
-) -> tuple[str, ...]:
+def row_faults(again: pd.DataFrame, study: Study, results: Results) -> list[str]:
     """List how rows differ from the committed rows with the same keys; all cells are texts."""
+    kept, faults = study.runs, []
+    assert kept is not None
     keys = (CELL,) if kept.numbered else kept.keys
-    theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
-    faults = []
+    committed = table_of_texts(results.text(kept.file)).to_dict("records")
+    theirs_by_key = {tuple(row[name] for name in keys): row for row in committed}
+    measured = measured_by(study)
     for row in again.to_dict("records"):
         key = tuple(row[name] for name in keys)
         where = ", ".join(f"{name} {value}" for name, value in zip(keys, key, strict=True))
@@ -127,7 +118,12 @@ def row_faults(
             faults.append(f"{where}: crashed: {row['reason']}")
         elif unlike := _unlike(row, theirs, measured, kept):
             faults.append(f"{where}: {unlike}. {row['reason']}")
-    return tuple(faults)
+    return faults
+
+
+def measured_by(study: Study) -> frozenset[str]:
+    """Names of the columns of floats; the others hold counts, texts and the identity of the run."""
+    return frozenset(one.name for one in fields(study.measure.row_type) if one.type is float)
 
 
 def _unlike(
