@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -36,7 +36,7 @@ class DiedError(Exception):
     """The worker ended in the middle of its job."""
 
 
-class Pool:
+class Pool(AbstractContextManager["Pool"]):
     """The pool of this process alone: a job that crashes the process ends everything."""
 
     room: float = 1  # number of jobs at a time
@@ -51,9 +51,6 @@ class Pool:
     def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
         """Return the jobs that ended; wait for the first, `timeout_s` at most (None: for ever)."""
         return wait(running, timeout_s, FIRST_COMPLETED).done
-
-    def __enter__(self) -> "Pool":
-        return self
 
     def __exit__(self, *_: object) -> None:
         """End the jobs that still run."""
