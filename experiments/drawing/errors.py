@@ -9,8 +9,8 @@ error: where there are any, the mean of the others is a hollow marker.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
 from itertools import cycle, pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -63,10 +63,7 @@ _MAX_VALUES = 6  # up to so many values of the parameter are ticks of the axis
 def error_figure(
     runs: pd.DataFrame, published: Mapping[float, pd.DataFrame], what: str = "Simulation"
 ) -> Figure:
-    """Draw the errors of all methods, single runs and means, beside the paper's.
-
-    `published` has the paper's table of each duration [s]; `what` names the experiment.
-    """
+    """Draw all methods' errors, runs and means, beside the paper's tables by duration [s]."""
     angles_deg = sorted(runs["angle_deg"].unique())
     step_deg = float(np.diff(angles_deg).min(initial=_ANGLE_STEP_DEG))
     looks = method_looks(method_order(runs["method"]))
@@ -116,10 +113,7 @@ def error_figure(
 
 
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
-    """Draw what REFINED gain over the paper, beside the marks that `tangency` is to reach.
-
-    A method without runs is left out.
-    """
+    """Draw what REFINED gain over the paper, beside the marks that `tangency` is to reach."""
     methods = [method for method in REFINED if method in set(runs["method"])]
     looks = method_looks([*REFINED])
     ends: dict[str, list[float]] = {error: [] for error in ERRORS}
@@ -183,10 +177,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
 
 
 def success_figure(runs: pd.DataFrame) -> Figure:
-    """Draw the share of all runs, the refused among them, whose error is below a threshold.
-
-    The legend gives the area under each method's curve, in percent of the largest possible.
-    """
+    """Draw the share of all runs, the refused among them, whose error is below a threshold."""
     looks = method_looks(method_order(runs["method"]))
     durations_s = sorted(runs["duration_s"].unique())
     most = f"{_THRESHOLD:g} ms or deg"
@@ -272,15 +263,13 @@ def flight_means(runs: pd.DataFrame, error: str, by: str = "angle_deg") -> pd.Da
 def published_means(
     published: Mapping[float, pd.DataFrame], duration_s: float, method: str, error: str
 ) -> pd.DataFrame | None:
-    """Return the paper's means by angle, pooled over offsets; None where the paper has none.
-
-    A flight counts once in the standard error here, too.
-    """
+    """Return the paper's means by angle, pooled over offsets; None where the paper has none."""
     start = {q.name: q.published for q in PUBLISHED_ERRORS}.get(f"{method}_{error}")
     table = published.get(duration_s)
     if table is None or f"{start}_mean" not in table:
         return None
     by_angle = table.assign(variance=table[f"{start}_std"] ** 2).groupby("angle_deg")
+    # A flight counts once, as in `flight_means`.
     standard_error = np.sqrt(by_angle["variance"].mean() / PUBLISHED_RUNS)
     means = by_angle[f"{start}_mean"].mean()
     return pd.DataFrame({"mean": means, "standard_error": standard_error})
@@ -383,9 +372,9 @@ def _default_of(name: str) -> float:
         return quadrotor().size_m
     if name == "ssac.n_min":  # whose default, None, may leave it to a thin object
         return N_MIN
-    root, *path = name.split(".")
-    roots: dict[str, Any] = dict(zip(("sim", "ssac"), configs_of({}), strict=True))
-    return float(reduce(getattr, path, roots[root]))
+    root, _, path = name.partition(".")
+    sim, ssac = configs_of({})
+    return float(attrgetter(path)(sim if root == "sim" else ssac))
 
 
 def _values(runs: pd.DataFrame, name: str) -> list[Any]:

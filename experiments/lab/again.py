@@ -48,10 +48,7 @@ Drawn = tuple[Study, Task]  # a study, and the task of its runs on one recording
 def sources_of(
     studies: Mapping[str, Study], slow: bool = False, only: str | None = None
 ) -> list[Study]:
-    """List the studies to draw from; slow ones, with minutes per recording, only if asked for.
-
-    Recordings rendered with OpenGL are never drawn: no two drivers render alike.
-    """
+    """List the studies to draw from; slow ones, with minutes per recording, only if asked for."""
     able = {
         name: study
         for name, study in studies.items()
@@ -171,6 +168,7 @@ def _alike_in_words(mine: str, other: str) -> bool:
 
 
 def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
+    """Shuffle a study's tasks without those that OpenGL renders: no two drivers render alike."""
     ours = {method.name for method in OURS}  # another package may have added a method
     cells = [cell for cell in cells_of(study) if getattr(cell, "method", None) in {None, *ours}]
     tasks = [

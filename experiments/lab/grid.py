@@ -232,10 +232,7 @@ def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
 
 
 def _with_values(config: Any, values: Mapping[str, Any], prefix: str) -> Any:
-    """Return a copy of a nested dataclass with fields, by dotted paths, set.
-
-    They are set all at once, since a configuration checks them together.
-    """
+    """Set fields of a nested dataclass by dotted paths, all at once: it checks them together."""
     hints = get_type_hints(type(config))
     known = [one.name for one in fields(config)]
     changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
