@@ -15,7 +15,7 @@ from experiments.lab.cell import UNUSABLE, Measure, RunRow
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.lab.score import Truth, kept, scored
-from ssac.arrays import Array, IntArray
+from ssac.arrays import IntArray
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
@@ -28,9 +28,6 @@ from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.track.observation import Observation
 
 GUARDED = 10  # one in this many pairs of flight and offset is also run in full, and must agree
-
-Frames = tuple[NDArray[np.generic] | None, Array | None]
-"""Images (n, height, width) and their times (n,) [s], or neither."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +59,13 @@ class Row(RunRow):
 
 def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load the parts of a recording that its cells need; simulate it if the cache lacks it."""
-    sim, seed, methods = cells[0].sim, cells[0].seed, [METHODS[cell.method] for cell in cells]
-    folder = cache.recording_folder(sim, seed)
+    folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     (how, *others) = {cell.estimator.cleaning for cell in cells}
     seen: Sequence[Observation]
     is_told = how.denoise and not others
     seen = clean_pair(folder, how, cache) if is_told else load_pair(folder)[:2]
-    framed = zip(seen, frames_of(folder, methods, cache), strict=True)
-    return Chain(
-        [replace(one, frames=f, frame_times_s=t) for one, (f, t) in framed],
-        load_rig(folder / RIG_FILE),
-        cells[0].estimator,
-    )
+    framed = with_frames(seen, folder, [METHODS[cell.method] for cell in cells], cache)
+    return Chain(framed, load_rig(folder / RIG_FILE), cells[0].estimator)
 
 
 def scored_row(cell: Cell, chain: Chain) -> Row:
@@ -146,11 +138,13 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
     return Row(**kept(Row, scored(estimate, truth, has_pose)))
 
 
-def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
-    """Load both cameras' frames if a method needs them, reduced to their means if these suffice."""
+def with_frames(
+    seen: Sequence[Observation], folder: Path, methods: Sequence[Method], cache: Cache
+) -> list[Observation]:
+    """Add both cameras' frames if a method needs them, reduced to their means if these suffice."""
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:
-        return (None, None), (None, None)
+        return [*seen]
 
     names = [f"{name}_{what}" for name in ("cam1", "cam2") for what in ("times_us", "images")]
 
@@ -165,11 +159,12 @@ def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Fr
         told = cache.told("brightness", folder, code, names, tell)
     else:
         told = images()
-    first, second = (_timed(told[f"{k}_times_us"], told[f"{k}_images"]) for k in ("cam1", "cam2"))
-    return first, second
+    named = zip(seen, ("cam1", "cam2"), strict=True)
+    return [_framed(one, told[f"{name}_times_us"], told[f"{name}_images"]) for one, name in named]
 
 
-def _timed(times_us: IntArray, images: NDArray[np.generic]) -> Frames:
+def _framed(one: Observation, times_us: IntArray, images: NDArray[np.generic]) -> Observation:
     if len(images) == 0:
-        return None, None
-    return images.reshape(len(images), *(images.shape[1:] or (1, 1))), times_us / US_PER_S
+        return one
+    frames = images.reshape(len(images), *(images.shape[1:] or (1, 1)))
+    return replace(one, frames=frames, frame_times_s=times_us / US_PER_S)

@@ -17,7 +17,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
-from experiments.lab.scored import Row, frames_of, scored_row
+from experiments.lab.scored import Row, scored_row, with_frames
 from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
@@ -35,7 +35,6 @@ from ssac.config import Config
 from ssac.events import US_PER_S
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
-from ssac.track.observation import Observation
 
 COMMAND = "ssac physical"
 
@@ -207,12 +206,9 @@ def cells_of(
 def load_physical(cells: Sequence[PhysicalCell], cache: Cache) -> Flown:
     """Load a recording, which is simulated if it is not there yet."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
-    frames = frames_of(folder, [METHODS[cell.method] for cell in cells], cache)
-    cam1, cam2, rig = load_pair(folder)
-    first, second = (
-        Observation(one.events, *of) for one, of in zip((cam1, cam2), frames, strict=True)
-    )
-    return Flown(lambda _: Pair(first, second, rig), cells[0].seed)
+    *seen, rig = load_pair(folder)
+    cam1, cam2 = with_frames(seen, folder, [METHODS[cell.method] for cell in cells], cache)
+    return Flown(lambda _: Pair(cam1, cam2, rig), cells[0].seed)
 
 
 def physical_row(cell: PhysicalCell, flown: Flown) -> Row:
