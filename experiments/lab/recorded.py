@@ -133,7 +133,7 @@ class Flown:
         return made
 
 
-def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]:
+def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> list[Clean]:
     """Return both cameras denoised; the recording is loaded only if the cache has no such entry."""
     rig = load_rig(folder / RIG_FILE)
     cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
@@ -151,10 +151,7 @@ def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> tuple[Clean, Clean]
 
     names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
     told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, how.n_neighbours)
-    first, second = (
-        _clean(told, folder / f"{name}.h5", camera) for name, camera in cameras.items()
-    )
-    return first, second
+    return [_clean(told, folder / f"{name}.h5", camera) for name, camera in cameras.items()]
 
 
 def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:

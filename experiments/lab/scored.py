@@ -61,7 +61,6 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load the parts of a recording that its cells need; simulate it if the cache lacks it."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     (how, *others) = {cell.estimator.cleaning for cell in cells}
-    seen: Sequence[Observation]
     is_told = how.denoise and not others
     seen = clean_pair(folder, how, cache) if is_told else load_pair(folder)[:2]
     framed = with_frames(seen, folder, [METHODS[cell.method] for cell in cells], cache)
