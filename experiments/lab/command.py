@@ -138,7 +138,7 @@ def run_studies(
     outcomes, written = [], []
     for study in studies:
         outcome, paths = save_study(study, out, cache, workers, part, options)
-        outcomes += [outcome] if outcome else []
+        outcomes.append(outcome)
         written += paths
         if study.shows and part == WHOLE:
             typer.echo(on_screen(Results(out).table(study.shows)))
@@ -166,8 +166,7 @@ def on_screen(table: pd.DataFrame) -> str:
 
 def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
     """Report what was done; runs that crashed are a bug, of ours or of another package."""
-    if outcomes:
-        _tell(outcomes, cache)
+    _tell(outcomes, cache)
     for path in files:
         typer.echo(f"written to {path}")
     crashed = (of.runs["reason"][of.runs["status"] == CRASHED] for of in outcomes)

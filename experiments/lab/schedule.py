@@ -91,7 +91,7 @@ class Outcome:
 def run_cells(
     cells: Sequence[PlainCell],
     cache: Cache,
-    workers: Workers | None = None,
+    workers: Workers,
     label: str = "recordings",
     show_progress: bool = True,
     measure: Measure = SCORED,
@@ -122,7 +122,7 @@ def run_cells(
     try:
         with (
             progress(len(left), label, is_shown=show_progress) as advance,
-            _pool(workers or Workers(), len(left)) as pool,
+            _pool(workers, len(left)) as pool,
         ):
             for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
                 found[index] = done.rows

@@ -161,7 +161,7 @@ class Study:
 def run_study(
     study: Study,
     cache: Cache,
-    workers: Workers | None = None,
+    workers: Workers,
     shard: tuple[int, int] = WHOLE,
     options: Options | None = None,
 ) -> Outcome:
@@ -218,28 +218,26 @@ def save_study(
     study: Study,
     out: Path,
     cache: Cache,
-    workers: Workers | None = None,
-    shard: tuple[int, int] = WHOLE,
+    workers: Workers,
+    shard: tuple[int, int],
     options: Options | None = None,
-) -> tuple[Outcome | None, list[Path]]:
+) -> tuple[Outcome, list[Path]]:
     """Run a study or a shard of it, write its files into a folder, and return their paths."""
+    assert study.runs is not None  # `ssac figures` writes the files that need no runs
     check_folder(out)
-    start, outcome = time.perf_counter(), None
+    start = time.perf_counter()
     given = {name: value for name, value in (options or {}).items() if name in study.options}
     others = {name: value for name, value in given.items() if value != study.options[name]}
     config = {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
-    more: dict[str, Any] = {}
-    if study.runs is not None:
-        outcome = run_study(study, cache, workers, shard, given)
-        save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard, Results(out)))
-        more["recordings_simulated"] = outcome.n_simulated
-        more["peak_mb_per_worker"] = round(outcome.peak_mb)
+    outcome = run_study(study, cache, workers, shard, given)
+    save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard, Results(out)))
     content = provenance(
         study.command_line(given, shard),
         config | ({"options": others} if others else {}),
         time.perf_counter() - start,
         context_or_none(),
-        **more,
+        recordings_simulated=outcome.n_simulated,
+        peak_mb_per_worker=round(outcome.peak_mb),
     )
     return outcome, save_made(study, out, cache, content, shard == WHOLE, given)
 
@@ -253,9 +251,9 @@ def save_made(
     options: Options | None = None,
 ) -> list[Path]:
     """Write the files made from the rows beside them, and each table's provenance; return paths."""
-    written = [out / study.runs.file] if study.runs else []
-    for path in written:
-        write_provenance(path, content)
+    assert study.runs is not None
+    written = [out / study.runs.file]
+    write_provenance(written[0], content)
     if not is_whole:
         return written
     results = Results(out)
@@ -272,12 +270,8 @@ def save_made(
         if made.file.endswith(".csv"):
             config = content["config"] if made.config is None else dict(made.config)
             write_provenance(path, {**content, "config": config})
-    noted = list(written)
-    if study.runs is None:  # only figures
-        noted.append(out / f"{study.name}{PROVENANCE}")
-        write_provenance(out / f"{study.name}.csv", content)
     if study.is_committed:
-        record_checksums(out, noted)
+        record_checksums(out, written)
     return written
 
 
