@@ -52,7 +52,7 @@ def sources_of(
     able = {
         name: study
         for name, study in studies.items()
-        if study.how is How.SHARED and study.runs is not None and study.runs.table is None
+        if study.how is How.SHARED and study.runs is not None
     }
     if only is not None:
         if only not in able:

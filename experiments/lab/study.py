@@ -68,7 +68,7 @@ class Runs:
     digits: int = DIGITS
     took: tuple[str, ...] = ()  # columns of run times and the like, which never repeat exactly
     table: Callable[[pd.DataFrame, Results], pd.DataFrame] | None = None
-    """Makes the written table from all rows, if it has not one line per row; rules out shards."""
+    """Makes the written table from all rows, if it has not one line per row: only How.ALONE."""
 
 
 @dataclass(frozen=True)
@@ -223,14 +223,16 @@ def save_study(
     options: Options | None = None,
 ) -> tuple[Outcome, list[Path]]:
     """Run a study or a shard of it, write its files into a folder, and return their paths."""
-    assert study.runs is not None  # `ssac figures` writes the files that need no runs
+    kept = study.runs
+    assert kept is not None  # `ssac figures` writes the files that need no runs
     check_folder(out)
     start = time.perf_counter()
     given = {name: value for name, value in (options or {}).items() if name in study.options}
     others = {name: value for name, value in given.items() if value != study.options[name]}
     config = {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
     outcome = run_study(study, cache, workers, shard, given)
-    save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard, Results(out)))
+    rows = kept.table(outcome.runs, Results(out)) if kept.table else outcome.runs
+    save_text(out / kept.file, runs_text(kept, rows, shard))
     content = provenance(
         study.command_line(given, shard),
         config | ({"options": others} if others else {}),
@@ -275,17 +277,9 @@ def save_made(
     return written
 
 
-def runs_text(
-    kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE, results: Results | None = None
-) -> str:
+def runs_text(kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE) -> str:
     """Format rows as the text of their file; those of a shard begin with the cells' numbers."""
-    if kept.table is not None and shard != WHOLE:
-        raise SsacError(f"{kept.file} is made of all rows together: run it without --shard")
-    columns = list(kept.columns)
-    if kept.table is not None and results is not None:
-        runs = kept.table(runs, results)
-        return csv_text(runs[columns] if columns else runs, kept.digits)
-    columns = columns or [str(name) for name in runs if name != CELL]
+    columns = [*kept.columns] or [str(name) for name in runs if name != CELL]
     is_numbered = kept.numbered or shard != WHOLE
     return csv_text(runs[[CELL, *columns] if is_numbered else columns], kept.digits)
 

@@ -109,7 +109,7 @@ def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Find
     """Check that runs that several studies share have the same values in all their files."""
     seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
     for study in studies:
-        if study.runs is None or study.runs.table is not None or study.how is not How.SHARED:
+        if study.runs is None or study.how is not How.SHARED:
             continue
         what = f"{study.runs.file} has the rows of other files where the runs are the same"
         yield found(what, partial(_unlike_others, study, results, seen))
