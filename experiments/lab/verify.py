@@ -331,15 +331,12 @@ def _unlike_others(
     table = table_of_texts(results.text(file))
     if len(table) != len(cells):
         cells = [cell for cell in cells if getattr(cell, "method", "") in set(table["method"])]
-    own = {"cell", *study.runs.took, *(cells[0].columns if cells else ())}
+    own = {CELL, *study.runs.took, *cells[0].columns}
     measured = table[[name for name in table if name not in own]]
     rows: list[dict[str, str]] = measured.to_dict("records")  # type: ignore[assignment]
     for number, (cell, row) in enumerate(zip(cells, rows, strict=True)):
-        try:
-            key = (study.measure.row, cell.recordings, cell.inputs)
-            where, other = seen.setdefault(key, (f"{file}, row {number}", row))
-        except TypeError:  # the inputs have no hash
-            return
+        key = study.measure.row, cell.recordings, cell.inputs
+        where, other = seen.setdefault(key, (f"{file}, row {number}", row))
         for name in row:
             if name in other and other[name] != row[name]:
                 yield f"row {number}: {name} is {row[name]}, there {other[name]} ({where})"
