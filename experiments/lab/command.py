@@ -199,7 +199,7 @@ def _tell(outcomes: Sequence[Outcome], cache: Cache) -> None:
         f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB",
     ]
     failed = runs[runs["status"] != "ok"]
-    of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
+    of = next((name for name in ("method", "variant") if name in failed), "status")
     for (name, status), group in failed.groupby([of, "status"]):
         lines.append(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}")
     typer.echo("\n".join(lines), err=True)
