@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ssac.arrays import Array, IntArray, Mask
+from ssac.arrays import Array, Float32Array, Int32Array, IntArray, Mask
 from ssac.rules import BodyRules
 from ssac.track.moments import LEAST_VIEWS, nearest
 
-Images = NDArray[np.float32]
 Voxels = tuple[Array, Array, float]
 """Voxels (3, m) in the body's frame, their optical depths (m,) and their width."""
 
-Drawn = tuple[Images, Array, Array, Array, Array]
+Drawn = tuple[Float32Array, Array, Array, Array, Array]
 """Data of n images: the covered share of each pixel (n, w, w), the first pixels' positions from the
 principal points (n, 2) [px], the body's origin in the cameras' frames (n, 3), rotations from the
 body's frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
@@ -34,7 +33,7 @@ body's frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 class Seen(NamedTuple):
     """Images of c cameras at n instants; where `is_seen` is false, the other values are unused."""
 
-    shares: Images  # (n, c, w, w) covered share of each pixel
+    shares: Float32Array  # (n, c, w, w) covered share of each pixel
     corners_px: Array  # (n, c, 2) of the first pixels, from the principal points
     points: Array  # (n, c, 3) the body's origin in the cameras' frames
     is_seen: Mask  # (n, c)
@@ -62,7 +61,7 @@ class Seen(NamedTuple):
 View = tuple[Array, Array, Array, Array]
 """One image's rotation, body's origin, focal lengths and first pixel, each as in `Drawn`."""
 
-Work = tuple[Array, Array, NDArray[np.int32], Array, Array]
+Work = tuple[Array, Array, Int32Array, Array, Array]
 """A drawing's optical depths (FINE w, FINE w), and their slopes (FINE w, FINE w, 5) by turns [rad]
 about the body's axes and by moves [px], both zero between drawings; and of each voxel what `_place`
 fills in, (2, m) and (6, m), and `_turn`, (3, 2, m), or (0, 2, m) where only moves are wanted."""
@@ -84,7 +83,7 @@ class Look:
     R: Array  # (3, 3) x = R X + t
     focal_px: Array  # (2,)
     points: Array  # (n, 3) where the body is thought to be, in the camera's frame
-    shares: NDArray[np.float32]  # (n, w, w) covered share of each pixel
+    shares: Float32Array  # (n, w, w) covered share of each pixel
     corners_px: Array  # (n, 2) of the first pixel of each, from the principal point; NaN: no image
 
     def coarser(self, factor: int) -> "Look":
@@ -404,7 +403,7 @@ def _within(step: NDArray[Any], most: float) -> Array:
 
 
 @numba.njit(cache=True)
-def _squares(image: NDArray[np.float32]) -> float:
+def _squares(image: Float32Array) -> float:
     """Sum the squares of an image's pixels."""
     total = 0.0
     for y in range(len(image)):
@@ -415,7 +414,7 @@ def _squares(image: NDArray[np.float32]) -> float:
 
 @numba.njit(cache=True)
 def _normal(
-    work: Work, body: Voxels, view: View, image: NDArray[np.float32], squares: float
+    work: Work, body: Voxels, view: View, image: Float32Array, squares: float
 ) -> tuple[Array, Array, float]:
     """Return normal equations (5, 5), (5,) of turns and moves, and the residuals' squares."""
     depths, slopes, cells, places, turns = work
@@ -464,7 +463,7 @@ def _work_for(fine: int, m: int, n_turns: int) -> Work:
 
 @numba.njit(cache=True, error_model="numpy")
 def _place(
-    body: Voxels, view: View, scale: int, width: int, cells: NDArray[np.int32], places: Array
+    body: Voxels, view: View, scale: int, width: int, cells: Int32Array, places: Array
 ) -> None:
     """Find rows, -1: outside, and columns (2, m) of the pixels up and left of the voxels' images.
 
@@ -509,7 +508,7 @@ def _turn(voxels: Array, view: View, places: Array, turns: Array) -> None:
 
 
 @numba.njit(cache=True)
-def _draw(depths: Array, cells: NDArray[np.int32], places: Array) -> tuple[int, int, int, int]:
+def _draw(depths: Array, cells: Int32Array, places: Array) -> tuple[int, int, int, int]:
     """Add optical depths; return the first image row and the one past the last, then columns."""
     top, bottom, left, right = len(depths), 0, len(depths), 0
     for j in range(cells.shape[1]):
@@ -527,7 +526,7 @@ def _draw(depths: Array, cells: NDArray[np.int32], places: Array) -> tuple[int, 
 
 
 @numba.njit(cache=True)
-def _draw_slopes(slopes: Array, cells: NDArray[np.int32], places: Array, turns: Array) -> None:
+def _draw_slopes(slopes: Array, cells: Int32Array, places: Array, turns: Array) -> None:
     """Add the slopes of optical depths, in place."""
     for j in range(cells.shape[1]):
         b, a = np.int64(cells[0, j]), np.int64(cells[1, j])

@@ -12,18 +12,15 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
 from scipy.special import pdtrc
 
-from ssac.arrays import Events, Indices, IntArray, Mask, Pixels
+from ssac.arrays import Events, Indices, Int32Array, IntArray, Mask, Pixels
 from ssac.config import N_MIN
 from ssac.events import first_from
 from ssac.rules import NoiseRules
 
 US_PER_MS = 1000.0
-
-Int32Array = NDArray[np.int32]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ parabolas replace means over windows, and noise and image width set the object's
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ssac.arrays import Array, Events, Indices, IntArray, Mask
+from ssac.arrays import Array, Events, Indices, Int32Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.config import Windows
 from ssac.errors import SsacError
@@ -83,10 +82,10 @@ class ObjectMotion:
 
     times_us: IntArray  # (n,) [us], sorted
     position_sums_px: Array  # (n + 1, 2) of undistorted coordinates [px]
-    border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
+    border_sums: Int32Array  # (n + 1,) of events on the border
     time_sums_us: IntArray  # [us] of times since the first, before every 2**TIMES_BITS-th event
     slice_bits: int  # the recording is cut into slices of 2**slice_bits us
-    slice_starts: NDArray[np.int32]  # (s + 1,) index of the first event in each slice, then n
+    slice_starts: Int32Array  # (s + 1,) index of the first event in each slice, then n
     half_window_s: float = 0.020  # [s] on each side of a sample time
     n_min: int = 200  # events a valid sample's window holds at least
     max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border

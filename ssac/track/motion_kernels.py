@@ -2,13 +2,10 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from ssac.arrays import Array, Indices, IntArray, Pixels
+from ssac.arrays import Array, Indices, Int32Array, IntArray, Pixels
 
-Starts = NDArray[np.int32]
-
-Sliced = tuple[IntArray, int, Starts]
+Sliced = tuple[IntArray, int, Int32Array]
 """Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
 
 TIE_US = 1e-3
@@ -33,9 +30,9 @@ def sum_up(
     slice_bits: int,
     times_us: IntArray,
     position_sums_px: Array,
-    border_sums: Starts,
+    border_sums: Int32Array,
     time_sums_us: IntArray,
-    slice_starts: Starts,
+    slice_starts: Int32Array,
 ) -> None:
     """Fill in the arrays of an `ObjectMotion` in one pass over n events.
 
@@ -87,7 +84,7 @@ def _first_from(time_us: np.int64, sliced: Sliced) -> int:
 @numba.njit(cache=True)
 def window_sums(
     sliced: Sliced,
-    sums: tuple[Array, Starts],
+    sums: tuple[Array, Int32Array],
     middles_s: Array,
     half_window_s: float,
     row_length: int,

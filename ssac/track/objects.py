@@ -10,15 +10,12 @@ from dataclasses import dataclass, field
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label, minimum_filter
 
-from ssac.arrays import Array, Events, IntArray, Mask, Pixels
+from ssac.arrays import Array, Events, Int32Array, IntArray, Mask, Pixels
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
 from ssac.rules import ObjectRules
-
-Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class Objects:
     are_several: bool  # several objects, not parts of one, which stay together
     n_seen: int  # objects at a time, including those that stay in place
     pieces: list[Piece]  # of objects that move, in order of time
-    blob_of_event: Labels = field(repr=False)  # (n,); -1: of none
+    blob_of_event: Int32Array = field(repr=False)  # (n,); -1: of none
 
     def events_of(self, pieces: list[Piece]) -> Mask:
         """Tell which events (n,) belong to any of these pieces."""
@@ -119,7 +116,7 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
 
 def _blobs(
     events: Events, bounds: IntArray, cell_px: int, still: Mask, rules: ObjectRules
-) -> tuple[Blobs, Labels, IntArray]:
+) -> tuple[Blobs, Int32Array, IntArray]:
     """Find blobs, the blob of each event (n,), -1: none, and in how many bins each cell is full."""
     full = rules.full_cell_events
     labels, bins, at_still, n_full = _labelled(events, bounds, cell_px, still, full)
@@ -134,7 +131,7 @@ def _blobs(
 
 
 @numba.njit(cache=True)
-def _shapes(labels: Labels, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, Array]:
+def _shapes(labels: Int32Array, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, Array]:
     """Sum up x, y and their squares (3, k) [px] of each blob's events; find its corners (k, 4)."""
     sums, corners = np.zeros((3, n_blobs)), np.empty((n_blobs, 4))
     corners[:, :2], corners[:, 2:] = np.inf, -np.inf
@@ -155,7 +152,7 @@ def _shapes(labels: Labels, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, 
 
 def _labelled(
     events: Events, bounds: IntArray, cell_px: int, still: Mask, full: int
-) -> tuple[Labels, IntArray, Mask, IntArray]:
+) -> tuple[Int32Array, IntArray, Mask, IntArray]:
     """Label the connected clusters of full cells in each bin of time, leaving out still cells."""
     # A cell with `full` events or more is full, and joins its full neighbours. Returned are the
     # cluster of each event (n,), -1 of none; the bin (k,) of each cluster, ascending, and whether

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from ssac.arrays import Array, Indices, IntArray, Mask
+from ssac.arrays import Array, Indices, Int32Array, IntArray, Mask
 from ssac.events import first_from
 from ssac.geometry.pose import Pencil
 from ssac.rules import OutlineRules
@@ -370,7 +369,7 @@ def _insert(value: float, index: int, top: Array, at: Indices) -> None:
 
 
 @numba.njit(cache=True)
-def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.int32]:
+def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> Int32Array:
     """Pick the events whose side * value is above the lower of the limits at their block's ends."""
     found = np.empty(len(values) + 1, np.int32)
     n = 0

@@ -19,15 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from ssac.arrays import Array, Events, Indices, IntArray, Mask, Pixels
+from ssac.arrays import Array, Events, Float32Array, Indices, Int32Array, IntArray, Mask, Pixels
 from ssac.camera import Camera, distort_points
 from ssac.rules import SilhouetteRules
 
-Levels = NDArray[np.float32]
-
-Links = NDArray[np.int32]
-
-Linked = tuple[Levels, Links, Links]
+Linked = tuple[Float32Array, Int32Array, Int32Array]
 """Levels just after the events, and the indices of the same pixel's events before and after each,
 during its stay in the box; `NONE` without."""
 
@@ -37,8 +33,6 @@ Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, I
 Counted = tuple[Seen, NDArray[np.uint8]]
 """Events as in `Seen`, and their polarities."""
 
-Counts = NDArray[np.int32]
-
 NONE = -1
 """In place of an event's index where there is no event."""
 
@@ -47,7 +41,7 @@ NONE = -1
 class Images:
     """Images of the object alone, in n square windows that are w pixels wide."""
 
-    shares: NDArray[np.float32]  # (n, w, w) covered share of each pixel
+    shares: Float32Array  # (n, w, w) covered share of each pixel
     corners_px: IntArray  # (n, 2) column and row of the first pixel
 
     def of(self, chosen: Mask) -> "Images":
@@ -182,7 +176,7 @@ def _with_covered(
 @numba.njit(cache=True)
 def _levels_since_start(
     seen: Seen, polarities: NDArray[np.uint8]
-) -> tuple[Counts, Mask, Counts, Counts]:
+) -> tuple[Int32Array, Mask, Int32Array, Int32Array]:
     """Sum each pixel's events, +1 for darker, until it leaves the box for the first time."""
     # Returned are the levels then, whether it left, and the least and largest levels before.
     (times_us, x, y), shape, (samples_us, boxes) = seen
@@ -284,9 +278,9 @@ def _evened(
     quiet_us: float,
     open_us: float,
     polarities: NDArray[np.uint8],
-    links: tuple[Links, Links],
+    links: tuple[Int32Array, Int32Array],
     back_shares: tuple[float, float],
-) -> tuple[Levels, int, int]:
+) -> tuple[Float32Array, int, int]:
     """Return the events' levels (m,), scaled so that each pixel comes back to its level at rest."""
     # A lone step is noise, and so is an excursion without any step back, except in the last
     # `open_us` of the recording. Also returned are the number of all larger excursions but open
@@ -324,7 +318,7 @@ def _excursion(
     times_us: IntArray,
     quiet_us: float,
     polarities: NDArray[np.uint8],
-    after: Links,
+    after: Int32Array,
     back_shares: tuple[float, float],
 ) -> tuple[int, int, int, int, bool]:
     """Follow a pixel's level from an event until it is back at rest."""
@@ -359,7 +353,7 @@ def _image_sums(
     ramps_us: Array,
     share_of: tuple[float, float],
     corners: IntArray,
-    images: NDArray[np.float32],
+    images: Float32Array,
 ) -> Array:
     """Return sums (n, 8) over the object's image at n samples, from linked levels."""
     # Sums are area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
@@ -431,7 +425,7 @@ def _image_sums(
 
 @numba.njit(cache=True)
 def _bare_us(
-    a: int, b: int, times_us: IntArray, levels: Levels, before: Links, longest_us: float
+    a: int, b: int, times_us: IntArray, levels: Float32Array, before: Int32Array, longest_us: float
 ) -> tuple[int, int]:
     """Return times [us] between which `_level_at` is 0, for all ramps up to the longest."""
     start_us, level_a, shrank = 0, 0.0, True
@@ -456,9 +450,9 @@ def _level_at(
     a: int,
     b: int,
     times_us: IntArray,
-    levels: Levels,
-    before: Links,
-    after: Links,
+    levels: Float32Array,
+    before: Int32Array,
+    after: Int32Array,
     ramp_us: float,
 ) -> float:
     """Return a pixel's absolute level between its events a and b; either may be `NONE`."""
