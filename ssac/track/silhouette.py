@@ -12,7 +12,7 @@ a pixel is assumed to come back to its level at rest, and its steps back are sca
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -23,18 +23,28 @@ from ssac.arrays import Array, Events, Float32Array, Indices, Int32Array, IntArr
 from ssac.camera import Camera, distort_points
 from ssac.rules import SilhouetteRules
 
-Linked = tuple[Float32Array, Int32Array, Int32Array]
-"""Levels just after the events, and the indices of the same pixel's events before and after each,
-during its stay in the box; `NONE` without."""
-
-Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, IntArray]]
-"""Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
-
-Counted = tuple[Seen, NDArray[np.uint8]]
-"""Events as in `Seen`, and their polarities."""
-
 NONE = -1
 """In place of an event's index where there is no event."""
+
+
+class Seen(NamedTuple):
+    """The events of one camera, and the boxes that hold the object at n samples of time."""
+
+    times_us: IntArray  # (m,)
+    x: Pixels  # (m,)
+    y: Pixels  # (m,)
+    polarities: NDArray[np.uint8]  # (m,)
+    shape: tuple[int, int]  # height and width of the sensor
+    samples_us: IntArray  # (n,)
+    boxes: IntArray  # (n, 4)
+
+
+class Linked(NamedTuple):
+    """Each event's level, and the same pixel's events beside it during its stay in the box."""
+
+    levels: Float32Array  # (m,) just after the event
+    before: Int32Array  # (m,) index of the event before; `NONE` without
+    after: Int32Array  # (m,) index of the next one, likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +105,11 @@ def silhouettes(
     is_large = float(np.median(sizes_px)) >= rules.large_px
     start = where_px[0], rules.window_sizes * sizes_px[0], rules.min_covered_share
 
-    def prepared(events: Events) -> Counted | None:
+    def prepared(events: Events) -> Seen | None:
         t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-        counted = ((t_us, x, y), (camera.height, camera.width), (samples_us, boxes)), polarities
-        return _with_covered(counted, *start) if is_large else counted
+        shape = camera.height, camera.width
+        seen = Seen(t_us, x, y, polarities, shape, samples_us, boxes)
+        return _with_covered(seen, *start) if is_large else seen
 
     found = _counted_up(recorded, denoised, prepared, ramps_us, rules)
     if found is None:
@@ -119,44 +130,40 @@ def silhouettes(
 def _counted_up(
     recorded: Events,
     denoised: Events,
-    prepared: Callable[[Events], Counted | None],
+    prepared: Callable[[Events], Seen | None],
     ramps_us: Array,
     rules: SilhouetteRules,
 ) -> tuple[Seen, Linked, float] | None:
     """Sum up all events, or else the denoised ones; return the level of a covered pixel too."""
-    counted = prepared(recorded)
-    if counted is None:
+    seen = prepared(recorded)
+    if seen is None:
         return None
-    linked, rests, closed = _linked_levels(*counted)
+    linked, rests, closed = _linked_levels(seen)
     is_even = closed >= rules.min_closed_share * rests
     if not is_even:  # noise, or thresholds that differ
-        counted = prepared(denoised)
-        if counted is None:
+        seen = prepared(denoised)
+        if seen is None:
             return None
-        linked, _, _ = _linked_levels(*counted)
+        linked, _, _ = _linked_levels(seen)
         quiet_us = rules.quiet_ramps * float(np.median(ramps_us))
-        times = counted[0][0][0], quiet_us, 1e6 * rules.open_s
-        levels, left, came_back = _evened(*times, counted[1], linked[1:], rules.back_shares)
+        open_us, back_shares = 1e6 * rules.open_s, rules.back_shares
+        levels, left, came_back = _evened(seen, linked, quiet_us, open_us, back_shares)
         if came_back < rules.min_back_share * left:
             return None
-        linked = levels, *linked[1:]
-    (times_us, *_), _, (samples_us, _) = seen = counted[0]
-    levels = np.abs(linked[0][np.searchsorted(times_us, samples_us[0]) :])
+        linked = linked._replace(levels=levels)
+    levels = np.abs(linked.levels[np.searchsorted(seen.times_us, seen.samples_us[0]) :])
     levels = levels if is_even else levels[levels > 0.0]  # lone steps have level 0
     if len(levels) == 0:
         return None
     return seen, linked, float(np.percentile(levels.astype(np.float64), rules.full_percentile))
 
 
-def _with_covered(
-    counted: Counted, start_px: Array, reach_px: float, min_share: float
-) -> Counted | None:
+def _with_covered(seen: Seen, start_px: Array, reach_px: float, min_share: float) -> Seen | None:
     """Put first the events with which the object would have covered its pixels at the start."""
     # A pixel gets as many as it turns lighter by when a dark object uncovers it, or darker by with
     # a light one. None unless `min_share` of these pixels are within reach of the start (2,): with
     # an object both darker and lighter than the background, every pixel is in doubt.
-    ((times_us, x, y), shape, samples), polarities = counted
-    levels, has_left, least, most = _levels_since_start(*counted)
+    levels, has_left, least, most = _levels_since_start(seen)
     is_dark = np.count_nonzero(least < -1) < np.count_nonzero(most > 1)
     bare = np.where(has_left, levels * (np.abs(levels) > 1), least if is_dark else most)
     rows, cols = np.nonzero(bare)
@@ -164,22 +171,25 @@ def _with_covered(
     near = np.hypot(cols - start_px[0], rows - start_px[1]) <= reach_px
     if np.count_nonzero(near) < min_share * len(near):
         return None
-    first, n = np.searchsorted(times_us, samples[0][0], side="right"), np.abs(bare)
+    start_us, n = seen.samples_us[0], np.abs(bare)
+    first = np.searchsorted(seen.times_us, start_us, side="right")
 
     def put(covering: NDArray[Any], events: NDArray[Any]) -> NDArray[Any]:
         return np.append(np.repeat(covering, n).astype(events.dtype), events[first:])
 
-    times_us = put(np.full(len(n), samples[0][0] + 1), times_us)
-    return ((times_us, put(cols, x), put(rows, y)), shape, samples), put(bare > 0, polarities)
+    return seen._replace(
+        times_us=put(np.full(len(n), start_us + 1), seen.times_us),
+        x=put(cols, seen.x),
+        y=put(rows, seen.y),
+        polarities=put(bare > 0, seen.polarities),
+    )
 
 
 @numba.njit(cache=True)
-def _levels_since_start(
-    seen: Seen, polarities: NDArray[np.uint8]
-) -> tuple[Int32Array, Mask, Int32Array, Int32Array]:
+def _levels_since_start(seen: Seen) -> tuple[Int32Array, Mask, Int32Array, Int32Array]:
     """Sum each pixel's events, +1 for darker, until it leaves the box for the first time."""
     # Returned are the levels then, whether it left, and the least and largest levels before.
-    (times_us, x, y), shape, (samples_us, boxes) = seen
+    times_us, x, y, polarities, shape, samples_us, boxes = seen
     n = len(samples_us)
     inside = np.zeros(shape, np.int32)  # last sample until which the pixel stayed in the box
     level = np.zeros(shape, np.int32)
@@ -222,12 +232,12 @@ def _boxes(
 
 
 @numba.njit(cache=True)
-def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, int, int]:
+def _linked_levels(seen: Seen) -> tuple[Linked, int, int]:
     """Return each event's level, positive for darker, and the events before and after it."""
     # The level at rest is 1 after a darker and -1 after a lighter spell: a pixel stops up to one
     # threshold short of its old value. Also returned are how often pixels came to rest, and how
     # often they did so within a threshold of their old level.
-    (times_us, x, y), shape, (samples_us, boxes) = seen
+    times_us, x, y, polarities, shape, samples_us, boxes = seen
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.float32)
     before, after = np.full(m, NONE, np.int32), np.full(m, NONE, np.int32)
@@ -269,30 +279,25 @@ def _linked_levels(seen: Seen, polarities: NDArray[np.uint8]) -> tuple[Linked, i
         elif run[row, col] > 1 or abs(level[row, col]) > 1:
             level[row, col] = -sign
         levels[e] = level[row, col]
-    return (levels, before, after), rests, closed
+    return Linked(levels, before, after), rests, closed
 
 
 @numba.njit(cache=True)
 def _evened(
-    times_us: IntArray,
-    quiet_us: float,
-    open_us: float,
-    polarities: NDArray[np.uint8],
-    links: tuple[Int32Array, Int32Array],
-    back_shares: tuple[float, float],
+    seen: Seen, linked: Linked, quiet_us: float, open_us: float, back_shares: tuple[float, float]
 ) -> tuple[Float32Array, int, int]:
     """Return the events' levels (m,), scaled so that each pixel comes back to its level at rest."""
     # A lone step is noise, and so is an excursion without any step back, except in the last
     # `open_us` of the recording. Also returned are the number of all larger excursions but open
     # ones, and the number that come back by themselves, as `_excursion` tells.
-    before, after = links
+    times_us, (_, before, after) = seen.times_us, linked
     left, came_back = 0, 0
     levels = np.zeros(len(times_us), np.float32)
     for e in range(len(times_us)):
         first = e if before[e] == NONE else NONE
         while first != NONE:
             last, peak, darker, lighter, is_back = _excursion(
-                first, times_us, quiet_us, polarities, after, back_shares
+                first, seen, after, quiet_us, back_shares
             )
             steps_away, steps_back = (darker, lighter) if peak > 0 else (lighter, darker)
             is_open = not is_back and times_us[last] >= times_us[-1] - open_us
@@ -303,7 +308,7 @@ def _evened(
                 level = 0.0
                 i = first
                 while i != after[last]:
-                    level += 1.0 if (polarities[i] == 0) == (peak > 0) else -by
+                    level += 1.0 if (seen.polarities[i] == 0) == (peak > 0) else -by
                     levels[i] = max(level, 0.0) if peak > 0 else -max(level, 0.0)
                     i = after[i]
                 if not is_open:
@@ -314,17 +319,13 @@ def _evened(
 
 @numba.njit(cache=True)
 def _excursion(
-    first: int,
-    times_us: IntArray,
-    quiet_us: float,
-    polarities: NDArray[np.uint8],
-    after: Int32Array,
-    back_shares: tuple[float, float],
+    first: int, seen: Seen, after: Int32Array, quiet_us: float, back_shares: tuple[float, float]
 ) -> tuple[int, int, int, int, bool]:
     """Follow a pixel's level from an event until it is back at rest."""
     # It is back if no event follows for `quiet_us` and at most the first share of the peak is left,
     # or the second if it turns away next; also if it turns away where it has reached zero. Returned
     # are the last event, the peak, the numbers of darker and lighter steps, and whether it is back.
+    times_us, polarities = seen.times_us, seen.polarities
     darker, lighter, peak = 0, 0, 0
     e = first
     while True:
@@ -361,8 +362,9 @@ def _image_sums(
     # ramp (n,) [us] an edge changes a level by one. `share_of` is the level of a fully covered
     # pixel, and its log contrast. Corners (n, 2) are column and row of each image's first pixel;
     # images (n, w, w) are written in place.
-    (times_us, x, y), shape, (samples_us, boxes) = seen
-    (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
+    times_us, x, y, _, shape, samples_us, boxes = seen
+    _, before, after = linked
+    (height, width), (full, curvature) = shape, share_of
     m, n = len(times_us), len(samples_us)
     sums = np.zeros((n, 8))
     last = np.full(shape, NONE, np.int32)
@@ -378,7 +380,7 @@ def _image_sums(
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
             coming[y[e], x[e]] = e
-            bare_us[y[e], x[e]] = _bare_us(NONE, e, times_us, levels, before, longest_us)
+            bare_us[y[e], x[e]] = _bare_us(NONE, e, times_us, linked, longest_us)
     whole = 1.0 - np.exp(-curvature)
     size = images.shape[1]
     e = 0
@@ -387,7 +389,7 @@ def _image_sums(
         time_us = samples_us[i]
         while e < m and times_us[e] <= time_us:
             last[y[e], x[e]], coming[y[e], x[e]] = e, following[e]
-            bare_us[y[e], x[e]] = _bare_us(e, after[e], times_us, levels, before, longest_us)
+            bare_us[y[e], x[e]] = _bare_us(e, after[e], times_us, linked, longest_us)
             e += 1
         for row in range(top, bottom + 1):
             for col in range(left, right + 1):
@@ -396,14 +398,14 @@ def _image_sums(
                         seen_bare[row, col] = True
                     if last[row, col] != NONE and times_us[last[row, col]] <= samples_us[i - 1]:
                         last[row, col], b = NONE, coming[row, col]
-                        bare_us[row, col] = _bare_us(NONE, b, times_us, levels, before, longest_us)
+                        bare_us[row, col] = _bare_us(NONE, b, times_us, linked, longest_us)
                 inside[row, col] = i
                 sums[i, 6] += not seen_bare[row, col]
                 if bare_us[row, col, 0] <= time_us < bare_us[row, col, 1]:
                     continue
                 a = last[row, col]
                 b = after[a] if a != NONE else coming[row, col]
-                level = _level_at(time_us, a, b, times_us, levels, before, after, ramps_us[i])
+                level = _level_at(time_us, a, b, times_us, linked, ramps_us[i])
                 if level <= 0.0:
                     continue
                 share = min(1.0, (1.0 - np.exp(-curvature * level / full)) / whole)
@@ -425,9 +427,10 @@ def _image_sums(
 
 @numba.njit(cache=True)
 def _bare_us(
-    a: int, b: int, times_us: IntArray, levels: Float32Array, before: Int32Array, longest_us: float
+    a: int, b: int, times_us: IntArray, linked: Linked, longest_us: float
 ) -> tuple[int, int]:
     """Return times [us] between which `_level_at` is 0, for all ramps up to the longest."""
+    levels, before, _ = linked
     start_us, level_a, shrank = 0, 0.0, True
     if a != NONE:
         level_a = abs(float(levels[a]))
@@ -446,17 +449,11 @@ def _bare_us(
 
 @numba.njit(cache=True)
 def _level_at(
-    time_us: int,
-    a: int,
-    b: int,
-    times_us: IntArray,
-    levels: Float32Array,
-    before: Int32Array,
-    after: Int32Array,
-    ramp_us: float,
+    time_us: int, a: int, b: int, times_us: IntArray, linked: Linked, ramp_us: float
 ) -> float:
     """Return a pixel's absolute level between its events a and b; either may be `NONE`."""
     # From level 1 it becomes bare, unless b is near; it fades as before a, and rises as after b.
+    levels, before, after = linked
     fading, coming = 0.0, 0.0
     if a != NONE:
         level_a, ago_us = float(levels[a]), float(time_us - times_us[a])

@@ -18,7 +18,7 @@ from ssac.track.moments import (
     perspective_shifts,
     second_moments,
 )
-from ssac.track.silhouette import Silhouettes, _bare_us, _level_at, silhouettes
+from ssac.track.silhouette import Linked, Silhouettes, _bare_us, _level_at, silhouettes
 from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 from tests.ssac.cluttered import merged, noise
 
@@ -240,14 +240,15 @@ def test_a_pixel_is_not_covered_where_it_is_passed_over(seed) -> None:
     )
     before, after = np.arange(n, dtype=np.int32) - 1, np.arange(n, dtype=np.int32) + 1
     after[-1] = -1
+    linked = Linked(levels, before, after)
     n_passed = n_covered = 0
     for a, b in zip([-1, *range(n)], [0, *after], strict=True):  # -1: no event
-        start_us, end_us = _bare_us(a, b, times_us, levels, before, 9000.0)
+        start_us, end_us = _bare_us(a, b, times_us, linked, 9000.0)
         from_us = times_us[a] if a >= 0 else 0
         until_us = times_us[b] if b >= 0 else times_us[a] + 100_000
         for time_us in np.unique(np.linspace(from_us, until_us - 1, 60).astype(np.int64)):
-            links = time_us, a, b, times_us, levels, before, after
-            most = max(_level_at(*links, ramp_us) for ramp_us in (9000.0, 2000.0, 50.0))
+            between = time_us, a, b, times_us, linked
+            most = max(_level_at(*between, ramp_us) for ramp_us in (9000.0, 2000.0, 50.0))
             passed = start_us <= time_us < end_us
             assert not (passed and most > 0.0)
             n_passed, n_covered = n_passed + passed, n_covered + (most > 0.0)
