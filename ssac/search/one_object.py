@@ -162,14 +162,14 @@ class _Matching:
             if len(p1) < self.match.least_pairs:
                 return best
             refit = reweighted_fundamental(p1, p2)
-            if _distance_px(refit, p1, p2) < _distance_px(F, p1, p2):
+            if _median_distance(refit, p1, p2) < _median_distance(F, p1, p2):
                 F = refit
             n_events = sum(
                 float(np.sum(of_view[i].n_events))
                 for of_view, numbers in zip(self.pieces, zip(*taken, strict=True), strict=True)
                 for i in set(numbers)
             )
-            best = Match(lag, F, tuple(taken), len(p1), n_events, _distance_px(F, p1, p2))
+            best = Match(lag, F, tuple(taken), len(p1), n_events, _median_distance(F, p1, p2))
             refined = self._refined(best)
             lag, F = refined.lag, refined.F
         return best
@@ -185,7 +185,7 @@ class _Matching:
         order, (pieces1, pieces2) = [], self.pieces
         is_near: dict[tuple[int, int], bool] = {}
         for i, j, p1, p2 in self._together(lag):
-            is_near[i, j] = _distance_px(F, p1, p2) < min(self._near_px(i, j), most_px)
+            is_near[i, j] = _median_distance(F, p1, p2) < min(self._near_px(i, j), most_px)
             order.append((-len(p1), i, j))
         taken: list[tuple[int, int]] = []
         for _, i, j in sorted(order):
@@ -207,16 +207,16 @@ class _Matching:
             if len(p1) < self.match.least_pairs:
                 continue
             F = reweighted_fundamental(p1, p2)
-            distance_px = _distance_px(F, p1, p2)
+            distance_px = _median_distance(F, p1, p2)
             if distance_px < best.distance_px:
                 best = replace(match, lag=lag, F=F, distance_px=distance_px)
         return best
 
 
 @numba.njit(cache=True)
-def _median_distance(F: Array, x1: Array, x2: Array) -> float:
-    """Median Sampson distance of pairs (n, 2) from F (9,)."""
-    return float(np.median(np.abs(distances_of(F, x1, x2))))
+def _median_distance(F: Array, p1: Array, p2: Array) -> float:
+    """Median Sampson distance of pairs (n, 2) from F, (3, 3) or (9,), in their unit."""
+    return float(np.median(np.abs(distances_of(F.ravel(), p1, p2))))
 
 
 @numba.njit(cache=True)
@@ -254,11 +254,6 @@ def _centred(p_px: Array) -> tuple[Array, Array]:
     T = np.diag([1.0 / SCALE_PX, 1.0 / SCALE_PX, 1.0])
     T[:2, 2] = -centre / SCALE_PX
     return (p_px - centre) / SCALE_PX, T
-
-
-def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:
-    """Median Sampson distance [px] of pairs (n, 2) from F."""
-    return _median_distance(F.ravel(), p1_px, p2_px)
 
 
 def _meet(one: Piece, other: Piece) -> bool:
