@@ -8,6 +8,7 @@ is gained.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -30,34 +31,31 @@ class Followed:
     events: Events  # of a corridor about the path, where the object is seen
 
 
-@dataclass(frozen=True)
-class _Binned:
+class _Binned(NamedTuple):
     """Events by bins."""
 
-    events: Events
+    x: Pixels  # (m,)
+    y: Pixels  # (m,)
+    ages_s: Array  # (m,) from the middle of their bin
+    bounds: IntArray  # (n + 1,) first event of each bin
     start_us: int
     bin_us: int
-    ages_s: Array  # (m,) of the events, from the middle of their bin
-    bounds: IntArray  # (n + 1,) first event of each bin
-
-    def __len__(self) -> int:
-        return len(self.bounds) - 1
 
     def of(self, events: Events) -> IntArray:
         """Return the bin (k,) of each of k events."""
         return np.asarray((events["t"] - self.start_us) // self.bin_us)
 
 
-@dataclass(frozen=True)
-class _Path:
+class _Path(NamedTuple):
     positions_px: Array  # (n, 2)
     velocities_px_s: Array  # (n, 2)
     variances_px2: Array  # (n, 2) of the positions
     known: Mask  # (n,) well enough to look for events
+    around_px2: Array  # (n, 2) variances of the object's events about the path
 
-    def around(self, sizes_px2: Array) -> Array:
-        """Variances (n, 2) of the object's events about the path."""
-        return np.asarray(sizes_px2 + np.where(self.known[:, None], self.variances_px2, 0.0))
+
+_Limits = tuple[float, float, float, float]
+"""`half_px`, `counted`, `inside` and `around` of the rules."""
 
 
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
@@ -127,16 +125,16 @@ def follow(
     """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)
-    bin_of_sure = bins.of(sure)
-    counts, means_px = _means(sure, bin_of_sure, len(bins))
+    bin_of_sure, counts, means_px = _means(sure, bins)
     sizes_px2 = _sizes(sure, bin_of_sure, counts, means_px, rules)
     if sizes_px2 is None:
         return None
+    limits = rules.half_px, rules.counted, rules.inside, rules.around
     weights, n_before = counts, -1
     for _ in range(rules.max_rounds):
         path = _smoothed(weights, means_px, sizes_px2, size, rules)
-        rates, background, seen = _rates(bins, path, sizes_px2, size, rules)
-        sums = _sums(bins, path, sizes_px2, rates, background, rules)
+        rates, background, seen = _rates(bins, path, limits, size, rules)
+        sums = _sums(bins, path, limits, rates, background)
         weights = sums[:, 2]
         means_px = sums[:, 3:5] / np.maximum(weights, _LEAST_WEIGHT)[:, None]
         if np.count_nonzero(seen) <= n_before:
@@ -162,32 +160,33 @@ def _binned(events: Events, bin_us: int) -> _Binned:
     n = int(times_us[-1] - start_us) // bin_us + 1
     bounds = np.searchsorted(times_us, start_us + bin_us * np.arange(n + 1))
     ages_s = 1e-6 * ((times_us - start_us) % bin_us - 0.5 * bin_us)
-    return _Binned(events, start_us, bin_us, ages_s, bounds.astype(np.int64))
+    bounds = bounds.astype(np.int64)
+    return _Binned(events["x"], events["y"], ages_s, bounds, start_us, bin_us)
 
 
 def _lasting(sure: Events, bins: _Binned, rules: FaintRules) -> Events:
     """Leave out events that cannot be the object's: far off their bin's mean or in small clumps."""
     for _ in range(2):  # the second time by means without what the first left out
-        bin_of_sure = bins.of(sure)
-        means_px = _means(sure, bin_of_sure, len(bins))[1][bin_of_sure]
-        away_px = np.maximum(abs(sure["x"] - means_px[:, 0]), abs(sure["y"] - means_px[:, 1]))
+        bin_of_sure, _, means_px = _means(sure, bins)
+        x_px, y_px = means_px[bin_of_sure].T
+        away_px = np.maximum(abs(sure["x"] - x_px), abs(sure["y"] - y_px))
         sure = sure[away_px < rules.one_place_px]
-    bin_of_sure = bins.of(sure)
-    counts, means_px = _means(sure, bin_of_sure, len(bins))
+    bin_of_sure, counts, means_px = _means(sure, bins)
     full = np.flatnonzero(counts)
     jumps_px = np.max(np.abs(np.diff(means_px[full], axis=0)), axis=1, initial=0.0)
     is_break = (np.diff(full) > rules.sure_bins) | (jumps_px > rules.one_place_px)
-    clump = np.zeros(len(bins), np.int64)
+    clump = np.zeros(len(counts), np.int64)
     clump[full[1:]] = np.cumsum(is_break)
     in_clump = np.bincount(clump[bin_of_sure], minlength=1)
     return np.asarray(sure[in_clump[clump[bin_of_sure]] >= rules.min_clump_events])
 
 
-def _means(events: Events, bin_of_event: IntArray, n_bins: int) -> tuple[Array, Array]:
-    """Count the events of each bin (n,), and give their means (n, 2)."""
+def _means(events: Events, bins: _Binned) -> tuple[IntArray, Array, Array]:
+    """Return the bin (k,) of each event, and the numbers (n,) and means (n, 2) of each bin's."""
+    bin_of_event, n_bins = bins.of(events), len(bins.bounds) - 1
     counts = np.bincount(bin_of_event, minlength=n_bins).astype(np.float64)
     sums = [np.bincount(bin_of_event, events[name], minlength=n_bins) for name in ("x", "y")]
-    return counts, np.stack(sums, axis=1) / np.maximum(counts, 1.0)[:, None]
+    return bin_of_event, counts, np.stack(sums, axis=1) / np.maximum(counts, 1.0)[:, None]
 
 
 def _sizes(
@@ -229,20 +228,21 @@ def _smoothed(
     )
     inside = np.all((positions >= 0.0) & (positions <= np.array(size) - 1.0), axis=1)
     known = inside & np.all(variances <= rules.lost_px**2, axis=1)
-    return _Path(positions, velocities, variances, known)
+    around_px2 = sizes_px2 + np.where(known[:, None], variances, 0.0)
+    return _Path(positions, velocities, variances, known, around_px2)
 
 
 def _rates(
-    bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
+    bins: _Binned, path: _Path, limits: _Limits, size: tuple[int, int], rules: FaintRules
 ) -> tuple[Array, Array, Mask]:
     """Object's events in each bin, background events per bin and pixel, and where it is seen."""
-    nothing, known = np.zeros(len(bins)), path.known
+    nothing, known = np.zeros(len(path.known)), path.known
 
     def around(values: Array) -> Array:
         return _around(np.where(known, values, 0.0), rules.window_bins)
 
-    sums = _sums(bins, path, sizes_px2, nothing, nothing, rules)
-    area_px2 = np.pi * np.sqrt(np.prod(path.around(sizes_px2), axis=1))
+    sums = _sums(bins, path, limits, nothing, nothing)
+    area_px2 = np.pi * np.sqrt(np.prod(path.around_px2, axis=1))
     low = np.maximum(path.positions_px - rules.half_px, -0.5)
     high = np.minimum(path.positions_px + rules.half_px, np.array(size) - 0.5)
     around_px2 = np.prod(high - low, axis=1) - rules.around * area_px2
@@ -252,19 +252,9 @@ def _rates(
     expected = around(background * rules.counted * area_px2)
     above = around(sums[:, 0]) - expected
     seen = known & (above > rules.significant * np.sqrt(expected + 1.0))
-    n_known = np.maximum(around(np.ones(len(bins))), 1.0)
+    n_known = np.maximum(around(np.ones(len(known))), 1.0)
     rates = above / n_known / (1.0 - np.exp(-0.5 * rules.counted))
     return np.where(seen, rates, 0.0), background, seen
-
-
-def _sums(
-    bins: _Binned, path: _Path, sizes_px2: Array, rates: Array, background: Array, rules: FaintRules
-) -> Array:
-    """Sum up the events about a path, as `_sums_in_bins` does."""
-    events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
-    expected = path.known, path.positions_px, path.velocities_px_s, path.around(sizes_px2)
-    limits = rules.half_px, rules.counted, rules.inside, rules.around
-    return _sums_in_bins(events, expected, limits, rates, background)
 
 
 def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
@@ -347,17 +337,11 @@ def smoothed_path(
 
 
 @numba.njit(cache=True)
-def _sums_in_bins(
-    events: tuple[Array, Pixels, Pixels, IntArray],
-    path: tuple[Mask, Array, Array, Array],
-    limits: tuple[float, float, float, float],
-    rates: Array,
-    background: Array,
-) -> Array:
+def _sums(bins: _Binned, path: _Path, limits: _Limits, rates: Array, background: Array) -> Array:
     """Return (n, 5): events counted, events around; sums of weights, of weighted x and y."""
     # An event's weight is the object's share of the density of events there.
-    ages_s, x, y, bounds = events
-    known, positions_px, velocities_px_s, variances_px2 = path
+    x, y, ages_s, bounds, _, _ = bins
+    positions_px, velocities_px_s, _, known, variances_px2 = path
     half_px, counted, inside, around = limits
     sums = np.zeros((len(known), 5))
     for k in range(len(known)):
