@@ -122,15 +122,12 @@ def radius_filter(
     squared_px = max(0.4 * radius_px**2, 1.0)
     core_us = int(np.min(spans_us[np.sum(offsets_px**2, axis=1) <= squared_px]))
     if radius_px < 1.0:  # the core is larger than the ball: it counts nothing
-        core_us = _NEVER_US
+        core_us = -(1 << 61)
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     sensor = width + 2 * margin_px, n_rows, margin_px
     ball = steps, spans_us, _core(squared_px, n_rows), core_us
     longest_us = max(core_us, 0) // 8
     return events.compress(_has_neighbours(t, x, y, sensor, *ball, longest_us, n_neighbours))
-
-
-_NEVER_US = -(1 << 61)
 
 
 def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:

@@ -140,11 +140,8 @@ def _shapes(labels: Int32Array, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Arr
         if k < 0:
             continue
         u, v = float(x[i]), float(y[i])
-        sums[0, k], sums[1, k], sums[2, k] = (
-            sums[0, k] + u,
-            sums[1, k] + v,
-            sums[2, k] + u**2 + v**2,
-        )
+        for row, term in enumerate((u, v, u**2 + v**2)):
+            sums[row, k] += term
         corners[k, 0], corners[k, 1] = min(corners[k, 0], u), min(corners[k, 1], v)
         corners[k, 2], corners[k, 3] = max(corners[k, 2], u), max(corners[k, 3], v)
     return sums, corners
