@@ -36,10 +36,10 @@ from ssac.methods import tangency
 from ssac.methods.rigid_body import body_points
 from ssac.methods.tangency import refine_tangents
 from ssac.points import PointTrack
-from ssac.rules import PointRules, TangencyRules
+from ssac.rules import OutlineRules, PointRules, TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import PointMotion, point_motion
-from ssac.track.outline import OutlineConfig, Tangents, tangents
+from ssac.track.outline import Tangents, tangents
 
 FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
@@ -58,7 +58,7 @@ _WORST = f"{T_D_ERROR.column}_worst"
 
 
 def _outline(**changes: Any) -> TangencyRules:
-    return TangencyRules(outline=OutlineConfig(**changes))
+    return TangencyRules(outline=OutlineRules(**changes))
 
 
 AS_IT_IS = "as it is"
@@ -86,7 +86,7 @@ VARIANTS = {
     "half-window 60 ms": _outline(half_window_s=0.060),
     "smoothed over 60 ms": _outline(smoothing_s=0.060),
     "a sample every 10 ms": TangencyRules(step_s=0.010),
-    "a sample every 40 ms": TangencyRules(step_s=0.040, outline=OutlineConfig(smoothing_s=0.080)),
+    "a sample every 40 ms": TangencyRules(step_s=0.040, outline=OutlineRules(smoothing_s=0.080)),
 }
 
 

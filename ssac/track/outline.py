@@ -24,8 +24,6 @@ from ssac.rules import OutlineRules
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
 
-OutlineConfig = OutlineRules
-
 
 @dataclass(frozen=True)
 class OutlineEvents:
@@ -48,7 +46,7 @@ class Tangents:
 
 
 def near_outline(
-    motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineConfig
+    motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineRules
 ) -> list[OutlineEvents]:
     """Find the courses of the upper and of the lower tangent, and the events near each.
 
@@ -85,7 +83,7 @@ def tangents(
     near: list[OutlineEvents],
     pencil: Pencil,
     times_s: Array,
-    config: OutlineConfig,
+    config: OutlineRules,
 ) -> list[Tangents]:
     """Find the upper and the lower tangent of the object's outline, that of greater angle first.
 
@@ -109,7 +107,7 @@ class _Course:
     velocities_px_s: Array  # (n, 2) of the track; zero where it is unknown
     valid: Mask  # (n,)
 
-    def smoothed(self, angles_rad: Array, config: OutlineConfig) -> tuple[Array, Array]:
+    def smoothed(self, angles_rad: Array, config: OutlineRules) -> tuple[Array, Array]:
         """Smooth angles (n,) over two or more steps on each side; return their slopes too."""
         return local_parabolas(angles_rad, max(self.steps(config.smoothing_s), 2))
 
@@ -119,9 +117,7 @@ class _Course:
         return round(duration_s / step_s)
 
     @staticmethod
-    def of(
-        motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineConfig
-    ) -> "_Course":
+    def of(motion: ObjectMotion, pencil: Pencil, times_s: Array, config: OutlineRules) -> "_Course":
         track = motion.centred_at(times_s) if config.centred else motion.at(times_s)
         points_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         angles = np.full(len(times_s), np.nan)
@@ -151,7 +147,7 @@ class _Blocks:
     bounds: Indices  # (b + 1,) index of the first event at or after each edge
 
     @staticmethod
-    def of(events_us: IntArray, times_s: Array, config: OutlineConfig) -> "_Blocks":
+    def of(events_us: IntArray, times_s: Array, config: OutlineRules) -> "_Blocks":
         n = len(times_s)
         length_us = 1e6 * (times_s[-1] - times_s[0]) / (n - 1) / 2
         longest_s = max(config.half_window_s, config.rough_half_window_s)
@@ -171,7 +167,7 @@ class _Blocks:
         return angles_from_course(self.times_us, points_px, *edges, pencil.sine, pencil.cosine)
 
     def extremes(
-        self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
+        self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineRules
     ) -> _Extremes:
         """Find the extremes of the outline in the windows about the usable samples."""
         # The very highest value may be noise. Any rank lies inside the outline, the more so the
@@ -188,7 +184,7 @@ class _Blocks:
 
 
 def _ranked(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
+    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
 ) -> tuple[_Blocks, Array, _Extremes]:
     """Return tan of the events' angles from the known course of their tangent, and the extremes."""
     blocks = _Blocks.of(events.times_us, course.times_s, config)
@@ -199,7 +195,7 @@ def _ranked(
 
 
 def _followed(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
+    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
 ) -> OutlineEvents:
     """Refine a tangent's course, and keep the events that can still be of one of the ranks."""
     blocks, values, (found_rad, gaps_rad, _) = _ranked(side, events, course, pencil, config)
@@ -217,7 +213,7 @@ def _followed(
 
 
 def _tangent(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineConfig
+    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
 ) -> Tangents:
     """Find the upper (side 1) or the lower (side -1) tangent."""
     times_s, n = course.times_s, len(course.times_s)

@@ -18,11 +18,11 @@ from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
 from ssac.points import PointTrack
-from ssac.rules import PointRules, Rules, TangencyRules
+from ssac.rules import OutlineRules, PointRules, Rules, TangencyRules
 from ssac.search.object_track import ShapedTrack
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import point_motion
-from ssac.track.outline import OutlineConfig, Tangents, near_outline, tangents
+from ssac.track.outline import Tangents, near_outline, tangents
 from ssac.track.silhouette import Images
 from tests.ssac import box, synthetic
 from tests.ssac.balls import BODY_M, attitudes, drawn_at
@@ -213,7 +213,7 @@ def test_where_there_is_no_outline_the_start_is_the_answer_but_its_offset_less_s
 @pytest.mark.parametrize("scale", [1, 8])
 def test_tangents_touch_the_outermost_corners(scale):
     """Tangents are found with the true pose and offset."""
-    scene, config = synthetic.make_scene(1, duration_s=6.0), OutlineConfig()
+    scene, config = synthetic.make_scene(1, duration_s=6.0), OutlineRules()
     K = np.diag([scale, scale, 1.0]) @ synthetic.K
     camera = Camera(K, scale * synthetic.WIDTH, scale * synthetic.HEIGHT)
     streams = box.box_events(scene, 0, size_m=0.5, scale=scale)

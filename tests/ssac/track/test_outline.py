@@ -9,13 +9,13 @@ from ssac.camera import Camera
 from ssac.config import Cleaning, Config
 from ssac.events import EVENT_DTYPE, events_from_arrays
 from ssac.geometry.pose import Pencil
-from ssac.rules import LineRules, NoiseRules, ObjectRules
+from ssac.rules import LineRules, NoiseRules, ObjectRules, OutlineRules
 from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
 from ssac.track.motion import motion_of, object_motion
 from ssac.track.objects import objects_of, seem_several
 from ssac.track.observation import Observation
-from ssac.track.outline import OutlineConfig, highest_in_blocks, near_outline, tangents
+from ssac.track.outline import highest_in_blocks, near_outline, tangents
 from ssac.track.thin_line import events_on_line
 from tests.ssac.cluttered import branches, flight, merged, mixed, noise
 from tests.ssac.synthetic import (
@@ -58,8 +58,8 @@ def square(rate_hz, seed=0):
 
 
 def sides(motion):
-    near = near_outline(motion, LEVEL, AT_S, OutlineConfig())
-    return tangents(motion, near, LEVEL, AT_S, OutlineConfig())
+    near = near_outline(motion, LEVEL, AT_S, OutlineRules())
+    return tangents(motion, near, LEVEL, AT_S, OutlineRules())
 
 
 def edges_px(motion):
