@@ -9,7 +9,7 @@ from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.rules import ObjectRules
+from ssac.rules import ObjectRules, TrackRules
 from ssac.search.view import seen_of
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
@@ -54,10 +54,7 @@ def track_of_events(clean: Clean, config: Config) -> PointTrack:
     There is a point wherever a window holds enough events, few of them on the border. Points are in
     the distorted image. SsacError if no window shows an object.
     """
-    points, sharp = _followed(clean, config)
-    return PointTrack(
-        sharp.times_s, points, _sigmas_px(sharp, config.rules.track.mean_sizes, config)
-    )
+    return _followed(clean, config)[0]
 
 
 def things_seen(clean: Clean, rules: ObjectRules) -> int:
@@ -70,20 +67,19 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
 
 def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> ShapedTrack:
     """Follow the object's centre of area where its silhouette is known, else its events' mean."""
-    points, sharp = _followed(clean, config)
-    rules, times_s, sizes_px = config.rules.track, sharp.times_s, sharp.sizes_px
-    sigmas, given = _sigmas_px(sharp, rules.mean_sizes, config), (times_s, sharp.positions_px)
-    seen = recorded, clean.events, clean.camera
-    found = silhouettes(*seen, *given, sizes_px, config.rules.silhouette)
+    (track, sharp), rules = _followed(clean, config), config.rules
+    seen, given = (recorded, clean.events, clean.camera), (sharp.times_s, sharp.positions_px)
+    found = silhouettes(*seen, *given, sharp.sizes_px, rules.silhouette)
     if found is None:
-        return ShapedTrack(PointTrack(times_s, points, sigmas), None)
-    points = np.where(found.known[:, None], found.centres_px, points)
-    sigmas = np.where(found.known, _sigmas_px(sharp, rules.centre_sizes, config), sigmas)
-    return ShapedTrack(PointTrack(times_s, points, sigmas), found.spreads_px2, found.images)
+        return ShapedTrack(track, None)
+    points = np.where(found.known[:, None], found.centres_px, track.points_px)
+    shares = np.where(found.known, rules.track.centre_sizes, rules.track.mean_sizes)
+    track = replace(track, points_px=points, sigmas_px=_sigmas_px(sharp, shares, rules.track))
+    return ShapedTrack(track, found.spreads_px2, found.images)
 
 
-def _followed(clean: Clean, config: Config) -> tuple[Array, SharpTrack]:
-    """Return the distorted points (n, 2) that lie in the image, and the samples they come from."""
+def _followed(clean: Clean, config: Config) -> tuple[PointTrack, SharpTrack]:
+    """Return the track of the points that lie in the image, and the samples they come from."""
     motion, camera = motion_of(clean, config.windows), clean.camera
     seen = seen_of(motion, config.rules.track.step_s)
     times_s = seen.spread(int(np.count_nonzero(seen.valid)))
@@ -97,9 +93,10 @@ def _followed(clean: Clean, config: Config) -> tuple[Array, SharpTrack]:
             f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(clean.events)} "
             "events are left after denoising; record closer to it, or give a smaller --n-min"
         )
-    kept = {one.name: getattr(sharp, one.name)[good] for one in fields(sharp)}
-    return points[good], SharpTrack(**kept)
+    kept = SharpTrack(**{one.name: getattr(sharp, one.name)[good] for one in fields(sharp)})
+    sigmas = _sigmas_px(kept, config.rules.track.mean_sizes, config.rules.track)
+    return PointTrack(kept.times_s, points[good], sigmas), kept
 
 
-def _sigmas_px(sharp: SharpTrack, share: float, config: Config) -> Array:
-    return np.asarray(np.maximum(share * sharp.sizes_px, config.rules.track.least_sigma_px))
+def _sigmas_px(sharp: SharpTrack, shares: Array | float, rules: TrackRules) -> Array:
+    return np.asarray(np.maximum(shares * sharp.sizes_px, rules.least_sigma_px))
