@@ -53,13 +53,12 @@ def near_outline(
     `tangents` needs only these few events, even for a pencil and times that differ a little.
     """
     course = _Course.of(motion, pencil, times_s, config)
-    blocks = _Blocks.of(motion.times_us, times_s, config)
+    blocks = _Blocks.of(motion.times_us, course)
     sums_px = motion.position_sums_px  # positions of all events would take as much memory again
-    values = blocks.angles(sums_px, course.angles_rad, pencil)
+    values = blocks.angles(sums_px, course.angles_rad)
     kept = []
     for side in (1.0, -1.0):
-        window_s = config.rough_half_window_s
-        found_rad, _, _ = blocks.extremes(values, side, window_s, course.valid, config)
+        found_rad, _, _ = blocks.extremes(values, side, config.rough_half_window_s)
         rough_rad = _within(found_rad, config.max_angle_rad)
         lowest_rad = _filled(times_s, rough_rad) - config.rough_margin_px * course.rad_per_px
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
@@ -68,12 +67,12 @@ def near_outline(
             # `take` is several times as fast as an index.
             sums_px.take(chosen + 1, axis=0) - sums_px.take(chosen, axis=0),
             motion.border_sums.take(chosen + 1) > motion.border_sums.take(chosen),
-            _filled(times_s, course.smoothed(rough_rad, config)[0])
+            _filled(times_s, course.smoothed(rough_rad)[0])
             if config.passes
             else np.zeros(len(times_s)),
         )
         for _ in range(config.passes - 1):
-            events = _followed(side, events, course, pencil, config)
+            events = _followed(side, events, course)
         kept.append(events)
     return kept
 
@@ -91,25 +90,25 @@ def tangents(
     the track is, when the event that gives it is on the border, or close to the epipole.
     """
     course = _Course.of(motion, pencil, times_s, config)
-    return [
-        _tangent(side, events, course, pencil, config)
-        for side, events in zip((1.0, -1.0), near, strict=True)
-    ]
+    sides = zip((1.0, -1.0), near, strict=True)
+    return [_tangent(side, events, course) for side, events in sides]
 
 
 @dataclass(frozen=True)
 class _Course:
     """The track's angles in a pencil, from which the angles of the events are measured."""
 
+    pencil: Pencil
+    config: OutlineRules
     times_s: Array  # (n,)
     angles_rad: Array  # (n,) without jumps, and interpolated where the track is invalid
     rad_per_px: Array  # (n,) across the planes, also interpolated
     velocities_px_s: Array  # (n, 2) of the track; zero where it is unknown
     valid: Mask  # (n,)
 
-    def smoothed(self, angles_rad: Array, config: OutlineRules) -> tuple[Array, Array]:
+    def smoothed(self, angles_rad: Array) -> tuple[Array, Array]:
         """Smooth angles (n,) over two or more steps on each side; return their slopes too."""
-        return local_parabolas(angles_rad, max(self.steps(config.smoothing_s), 2))
+        return local_parabolas(angles_rad, max(self.steps(self.config.smoothing_s), 2))
 
     def steps(self, duration_s: float) -> int:
         """Sample steps in a duration."""
@@ -123,6 +122,8 @@ class _Course:
         angles = np.full(len(times_s), np.nan)
         angles[track.valid] = np.unwrap(pencil.angles(points_px[track.valid]))
         return _Course(
+            pencil,
+            config,
             times_s,
             _filled(times_s, angles),
             _filled(times_s, np.linalg.norm(pencil.gradients(points_px), axis=1)),
@@ -140,41 +141,41 @@ NaN with too few events; gaps (n,) [rad] between the ranks; indices (n,) of the 
 class _Blocks:
     """Events in blocks of half a sample step; the samples' windows begin and end at block edges."""
 
+    course: _Course
     times_us: IntArray  # (m,) of the events
-    times_s: Array  # (n,) of the samples
     padding: int  # blocks before the first sample and after the last
     edges_us: Array  # (b + 1,)
     bounds: Indices  # (b + 1,) index of the first event at or after each edge
 
     @staticmethod
-    def of(events_us: IntArray, times_s: Array, config: OutlineRules) -> "_Blocks":
-        n = len(times_s)
+    def of(events_us: IntArray, course: _Course) -> "_Blocks":
+        config, times_s, n = course.config, course.times_s, len(course.times_s)
         length_us = 1e6 * (times_s[-1] - times_s[0]) / (n - 1) / 2
         longest_s = max(config.half_window_s, config.rough_half_window_s)
         padding = max(round(1e6 * longest_s / length_us), 1)
         numbers = np.arange(-padding, 2 * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
         bounds = first_from(events_us, edges_us - TIE_US)
-        return _Blocks(events_us, times_s, padding, edges_us, bounds)
+        return _Blocks(course, events_us, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:
         """Interpolate values at the samples to the block edges; constant beyond the samples."""
-        return np.asarray(np.interp(1e-6 * self.edges_us, self.times_s, values))
+        return np.asarray(np.interp(1e-6 * self.edges_us, self.course.times_s, values))
 
-    def angles(self, points_px: Array, course_rad: Array, pencil: Pencil) -> Array:
+    def angles(self, points_px: Array, course_rad: Array) -> Array:
         """Return tan (m,) of the angles of the events from a course (n,)."""
+        pencil = self.course.pencil
         edges = self.bounds, self.edges_us, self.at_edges(course_rad)
         return angles_from_course(self.times_us, points_px, *edges, pencil.sine, pencil.cosine)
 
-    def extremes(
-        self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineRules
-    ) -> _Extremes:
-        """Find the extremes of the outline in the windows about the usable samples."""
+    def extremes(self, values: Array, side: float, half_window_s: float) -> _Extremes:
+        """Find the extremes of the outline in the windows about the samples of a valid track."""
+        config, usable = self.course.config, self.course.valid
         # The very highest value may be noise. Any rank lies inside the outline, the more so the
         # fewer events there are near it; the gap to a deeper rank tells how much.
         tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
-        firsts = self.padding + 2 * np.arange(len(self.times_s)) - half
+        firsts = self.padding + 2 * np.arange(len(usable)) - half
         ranked, indices = ranked_in_windows(
             tops, at, firsts, 2 * half, usable, config.rank, config.deeper_rank
         )
@@ -184,21 +185,19 @@ class _Blocks:
 
 
 def _ranked(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
+    side: float, events: OutlineEvents, course: _Course
 ) -> tuple[_Blocks, Array, _Extremes]:
     """Return tan of the events' angles from the known course of their tangent, and the extremes."""
-    blocks = _Blocks.of(events.times_us, course.times_s, config)
+    blocks = _Blocks.of(events.times_us, course)
     course_rad = course.angles_rad + side * events.course_rad
-    values = blocks.angles(events.points_px, course_rad, pencil)
-    extremes = blocks.extremes(values, side, config.half_window_s, course.valid, config)
-    return blocks, values, extremes
+    values = blocks.angles(events.points_px, course_rad)
+    return blocks, values, blocks.extremes(values, side, course.config.half_window_s)
 
 
-def _followed(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
-) -> OutlineEvents:
+def _followed(side: float, events: OutlineEvents, course: _Course) -> OutlineEvents:
     """Refine a tangent's course, and keep the events that can still be of one of the ranks."""
-    blocks, values, (found_rad, gaps_rad, _) = _ranked(side, events, course, pencil, config)
+    config = course.config
+    blocks, values, (found_rad, gaps_rad, _) = _ranked(side, events, course)
     deeper_rad = found_rad - (1.0 + config.outward) * gaps_rad
     lowest_rad = _filled(course.times_s, deeper_rad) - config.margin_px * course.rad_per_px
     lowest_rad = minimum_filter1d(lowest_rad, 2 * course.steps(config.half_window_s) + 1)
@@ -208,22 +207,20 @@ def _followed(
         events.times_us.take(chosen),
         events.points_px.take(chosen, axis=0),
         events.on_border.take(chosen),
-        _filled(course.times_s, course.smoothed(angles_rad, config)[0]),
+        _filled(course.times_s, course.smoothed(angles_rad)[0]),
     )
 
 
-def _tangent(
-    side: float, events: OutlineEvents, course: _Course, pencil: Pencil, config: OutlineRules
-) -> Tangents:
+def _tangent(side: float, events: OutlineEvents, course: _Course) -> Tangents:
     """Find the upper (side 1) or the lower (side -1) tangent."""
-    times_s, n = course.times_s, len(course.times_s)
+    pencil, config, times_s, n = course.pencil, course.config, course.times_s, len(course.times_s)
     if len(events.times_us) == 0:
         nothing = np.full((n, 2), np.nan)
         return Tangents(nothing, nothing, nothing[:, 0], np.zeros(n, np.bool_))
-    _, _, (found_rad, gaps_rad, at) = _ranked(side, events, course, pencil, config)
+    _, _, (found_rad, gaps_rad, at) = _ranked(side, events, course)
     angles_rad = _within(events.course_rad + found_rad, config.max_angle_rad)
     tangent_rad = course.angles_rad + side * angles_rad
-    _, slopes = course.smoothed(tangent_rad, config)
+    _, slopes = course.smoothed(tangent_rad)
 
     # The event, moved with the track's velocity, tells well enough where the tangent touches.
     ages_s = 1e-6 * events.times_us[at] - times_s
