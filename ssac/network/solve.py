@@ -198,7 +198,7 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
         skew_ppm = estimate.skew_ppm if np.isfinite(estimate.skew_ppm) else 0.0
         clock = Clock(estimate.t_d_s, skew_ppm, estimate.t_ref_s)
     elif guess is not None:
-        clock = Clock(guess.t_d_s, guess.skew_ppm, guess.t_ref_s)
+        clock = Clock(guess.t_d_s, 1e6 * (guess.rate - 1.0), guess.t_ref_s)
     else:
         return None
     cost = guess.cost if guess is not None else estimate.d_avg_px

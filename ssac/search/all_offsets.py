@@ -109,11 +109,6 @@ class Guess:
     rate: float  # of camera 2's clock over camera 1's
     cost: float
 
-    @property
-    def skew_ppm(self) -> float:
-        """Skew of camera 2's clock [ppm], positive if it runs fast."""
-        return 1e6 * (self.rate - 1.0)
-
     def at(self, time_s: float) -> float:
         """Give the offset [s] at a time [s] of camera 1's clock."""
         return self.t_d_s + (self.rate - 1.0) * (time_s - self.t_ref_s)
