@@ -50,26 +50,24 @@ def without_noise(
     allows, where the object makes few events; in much noise the smaller ball, likewise.
     """
     mask, hz = masked_pixels(events, width, height, rules)
-    n_all, size_px = len(events), (width, height)
-    events = unmasked(events, mask)
-    n_masked = n_all - len(events)
+    kept, size_px = unmasked(events, mask), (width, height)
     radius_px, n = rules.ball_px, n_neighbours or rules.ball_neighbours
     if n_neighbours is None and hz > rules.noisy_hz:
         radius_px, near_n = rules.near_ball_px, rules.near_ball_neighbours
         n = least_neighbours(hz, width * height, radius_px, near_n, rules)
-        left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
+        left = radius_filter(kept, radius_px, n_neighbours=n, size_px=size_px)
         fewer = radius_filter(left, radius_px, n_neighbours=near_n, size_px=size_px)
         if len(fewer) > rules.min_kept_share * len(left):
             left, n = fewer, near_n
     else:
-        left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
+        left = radius_filter(kept, radius_px, n_neighbours=n, size_px=size_px)
         if n_neighbours is None and _events_per_window(left, rules) < rules.thin_ratio * N_MIN:
             n = least_neighbours(hz, width * height, radius_px, rules.ball_neighbours, rules)
-            left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
+            left = radius_filter(kept, radius_px, n_neighbours=n, size_px=size_px)
     n_min, in_window = N_MIN, _events_per_window(left, rules)
     if in_window < rules.thin_ratio * N_MIN:
         n_min = int(np.clip(rules.thin_n_min_share * in_window, rules.least_n_min, N_MIN))
-    return left, Clutter(int(mask.sum()), n_masked, hz, radius_px, n, n_min)
+    return left, Clutter(int(mask.sum()), len(events) - len(kept), hz, radius_px, n, n_min)
 
 
 def least_neighbours(
