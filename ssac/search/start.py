@@ -14,7 +14,7 @@ from ssac.arrays import IntArray
 from ssac.clock import PPM
 from ssac.config import Config, Interval
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
-from ssac.events import US_PER_S
+from ssac.events import US_PER_S, copied
 from ssac.geometry.epipolar import epipolar_distance, robust_deviation
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import AllOffsetsRules
@@ -77,22 +77,20 @@ class Start:
 
     def as_seen(self, cam2: Clean) -> Clean:
         """Return camera 2 on a clock without the guess's rate, equal to its own at the anchor."""
-        rate, anchor_s = self.guess.rate, self.anchor_s
+        rate, anchor_s, track = self.guess.rate, self.anchor_s, cam2.track
         if rate == 1.0:
             return cam2
-        events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
-        recorded = cam2.recorded
         if track is not None:
-            track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
-        elif len(events):
-            events, anchor_us = events.copy(), anchor_s * US_PER_S
+            times_s = anchor_s + (track.times_s - anchor_s) / rate
+            return replace(cam2, track=replace(track, times_s=times_s))
+        events, anchor_us = copied(cam2.events), anchor_s * US_PER_S
 
-            def seen_us(times_us: IntArray) -> IntArray:
-                return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
+        def seen_us(times_us: IntArray) -> IntArray:
+            return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
 
-            events["t"], gaps_us = seen_us(events["t"]), seen_us(gaps_us)
-            recorded = on_clock(recorded, seen_us)
-        return replace(cam2, events=events, track=track, gaps_us=gaps_us, recorded=recorded)
+        events["t"], gaps_us = seen_us(events["t"]), seen_us(cam2.gaps_us)
+        recorded = on_clock(cam2.recorded, seen_us)
+        return replace(cam2, events=events, gaps_us=gaps_us, recorded=recorded)
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
         """Convert an estimate to camera 2's own clock.
