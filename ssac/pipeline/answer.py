@@ -69,7 +69,7 @@ class Answer:
     @property
     def guess(self) -> Guess | None:
         """Best guess of the search over all offsets; None without such a search or a guess."""
-        return self.start.guess if self.start is not None and self.start.has_guess else None
+        return self.start.guess if self.start is not None and self.start.found.guesses else None
 
     @property
     def notes(self) -> tuple[str, ...]:

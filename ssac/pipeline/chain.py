@@ -300,7 +300,7 @@ class Chain:
         elif refusal is None and pair.tries_all:
             start = self._start(pair, views)
             pair, refusal = replace(pair, start=start), start.refusal
-            if start.has_guess:
+            if start.found.guesses:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
                 near = start.config(config)

@@ -39,11 +39,6 @@ class Start:
         return self.found.guesses[0]
 
     @property
-    def has_guess(self) -> bool:
-        """Whether the search found any offset."""
-        return len(self.found.guesses) > 0
-
-    @property
     def anchor_s(self) -> float:
         """Camera 2's clock at the reference time of the guess."""
         return self.guess.t_ref_s + self.guess.t_d_s
