@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Callable, Hashable
-from dataclasses import astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -150,7 +150,7 @@ def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> list[Clean]:
         return told
 
     names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
-    told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, how.n_neighbours)
+    told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, asdict(how))
     return [_clean(told, folder / f"{name}.h5", camera) for name, camera in cameras.items()]
 
 

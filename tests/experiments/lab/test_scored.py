@@ -147,6 +147,10 @@ def test_a_pair_comes_back_as_denoising_left_it(recorded, tmp_path, monkeypatch,
             assert_same(one, other)
         assert [one.n_recorded for one in pair] == [len(cam1.events), len(cam2.events)]
     assert len(calls) == 1  # the second pair comes from the cache
+    clean_pair(
+        recorded.folder, replace(HOW, noise=replace(HOW.noise, ball_px=4.0)), Cache(tmp_path)
+    )
+    assert len(calls) == 2  # by other rules it is another one
 
 
 def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, tmp_path, monkeypatch):
