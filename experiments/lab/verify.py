@@ -81,8 +81,8 @@ def file_findings(
     yield Finding("no other file is there", tuple(sorted(there - files)))
     yield found(f"all files are as {SUMS_FILE} has them", lambda: _changed(results, files))
     for name, digest in digests.items():
-        changed = () if sha256(results / name) == digest else ("it was changed",)
-        yield Finding(f"{name} is as it was copied", changed)
+        copied = partial(_copied_faults, results / name, digest)
+        yield found(f"{name} is as it was copied", copied)
 
 
 def study_findings(study: Study, results: Results) -> Iterator[Finding]:
@@ -256,6 +256,10 @@ def _unlike_skews(runs: pd.DataFrame) -> "pd.Series[bool]":
     off_ppm = (runs["skew_ppm"] - runs.get("sim.skew_ppm", 0.0)).abs() - runs["skew_error_ppm"]
     wrong = off_ppm.abs() > _ROUNDING_PPM + 1e-5 * runs["skew_error_ppm"].abs()
     return wrong | off_ppm.isna() & (runs["skew_ppm"].notna() | runs["skew_error_ppm"].notna())
+
+
+def _copied_faults(path: Path, digest: str) -> tuple[str, ...]:
+    return () if sha256(path) == digest else ("it was changed",)
 
 
 def _changed(results: Path, files: Iterable[str]) -> list[str]:
