@@ -73,13 +73,13 @@ def mixed(*streams):
     return events[order], thing[order]
 
 
-def branches(seed, n_branches=4):
-    """Events of things that sway a few pixels about their places."""
+def branches(seed):
+    """Events of four things that sway a few pixels about their places."""
     rng = np.random.default_rng((seed, 2))
     n = int(20_000 * DURATION_S)
-    times_s, branch = np.sort(rng.uniform(0.0, DURATION_S, n)), rng.integers(n_branches, size=n)
-    places = rng.uniform([40, 40], [WIDTH - 40, HEIGHT - 40], (n_branches, 2))
-    sways = rng.uniform(2.0, 6.0, (n_branches, 2))
-    phases = 2.0 * np.pi * (0.8 * times_s + branch / n_branches)
+    times_s, branch = np.sort(rng.uniform(0.0, DURATION_S, n)), rng.integers(4, size=n)
+    places = rng.uniform([40, 40], [WIDTH - 40, HEIGHT - 40], (4, 2))
+    sways = rng.uniform(2.0, 6.0, (4, 2))
+    phases = 2.0 * np.pi * (0.8 * times_s + branch / 4)
     points = places[branch] + sways[branch] * np.sin(phases)[:, None] + rng.normal(0, 5, (n, 2))
     return events_at(times_s, points)

@@ -114,9 +114,9 @@ def clocked(events: NDArray[np.void], clock: Callable[[Array], Array]) -> NDArra
     return moved
 
 
-def denoised(events: NDArray[np.void], camera: Camera = CAMERA) -> Clean:
+def denoised(events: NDArray[np.void]) -> Clean:
     """Wrap events without noise as if they had been denoised."""
-    return Clean(events, camera=camera, denoised=True, n_recorded=len(events))
+    return Clean(events, camera=CAMERA, denoised=True, n_recorded=len(events))
 
 
 def angle_deg(a: Array, b: Array) -> float:

@@ -51,10 +51,10 @@ def pairs_of(seen_s, noise_px, seed, fades_in=0.0):
     return WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
 
 
-def rate_problem(seed=0, noise_px=0.1, fades_in=0.0, **options):
+def rate_problem(seed=0, fades_in=0.0, **options):
     """Pairs sampled as if both clocks were one; camera 2's has an offset and a rate."""
     seen_s = TIMES_S - (T_D_S + RATE * SINCE_S)  # camera 2's clock shows TIMES_S then
-    pairs = pairs_of(seen_s, noise_px, seed, fades_in)
+    pairs = pairs_of(seen_s, 0.1, seed, fades_in)
     column = Column(np.zeros_like(pairs.p1_px), SINCE_S[:, None] * pairs.v2_px_s)
     return Problem(pairs, SCENE.rig, FitRules(), columns=(column,), **options)
 

@@ -16,9 +16,9 @@ MIDDLE = np.array([0.0, 0.0, DISTANCE_M])
 AXES = np.linalg.qr(np.array([[1.0, 0.3, 0.5], [0.2, 1.0, -0.4], [-0.3, 0.1, 1.0]]))[0].T
 
 
-def scene_of(path, angle_deg=90.0):
+def scene_of(path):
     """Return a scene whose path maps times (n,) [s] to positions (n, 3) [m] in camera 1's frame."""
-    return replace(make_scene(0, angle_deg, DURATION_S), path=path)
+    return replace(make_scene(0, duration_s=DURATION_S), path=path)
 
 
 def seen(scene, seed=0, t_d_s=T_D_S):
@@ -82,8 +82,8 @@ def planar(times_s):
     return MIDDLE + 0.8 * flight[..., :2] @ AXES[:2]
 
 
-def periodic(times_s, period_s=0.8):
-    turn = 2.0 * np.pi * times_s[..., None] / period_s
+def periodic(times_s):
+    turn = 2.0 * np.pi * times_s[..., None] / 0.8
     return (
         MIDDLE
         + (np.cos(turn) + 0.4 * np.sin(2 * turn)) * AXES[0]

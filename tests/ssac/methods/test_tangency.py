@@ -354,9 +354,9 @@ def shaped() -> list[ShapedTrack]:
     return found
 
 
-def body_views(cam1: Camera = CAMERA, cam2: Camera = CAMERA) -> TwoViews:
+def body_views(cam2: Camera = CAMERA) -> TwoViews:
     motions = [point_motion(one.track, CAMERA, PointRules()) for one in shaped()]
-    return TwoViews(*motions, Rig(cam1, cam2), Config())
+    return TwoViews(*motions, Rig(CAMERA, cam2), Config())
 
 
 def followed(found: Estimate, order: tuple[int, int] = (0, 1)):

@@ -36,8 +36,8 @@ def motion_along(*path, **how) -> ObjectMotion:
     return object_motion(events_along(*path, **how), CAMERA)
 
 
-def wave(hz: float, phase: float = 0.0, middle_px: float = 130.0, reach_px: float = 60.0):
-    return lambda times_s: middle_px + reach_px * np.sin(2 * np.pi * hz * times_s + phase)
+def wave(hz: float, phase: float = 0.0, reach_px: float = 60.0):
+    return lambda times_s: 130.0 + reach_px * np.sin(2 * np.pi * hz * times_s + phase)
 
 
 def fixed(times_s):

@@ -22,17 +22,17 @@ def blind_spans(times_us):
     return view.blind_spans(times_us, BlindRules())
 
 
-def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):
+def busy_times(seed, rate_hz=50_000.0):
     """Times [us] of a swinging object's events, whose rate is proportional to its speed."""
     rng = np.random.default_rng(seed)
     times_us = np.sort(rng.integers(0, DURATION_US, int(rate_hz * 1e-6 * DURATION_US)))
-    speed = np.abs(np.cos(2.0 * np.pi * swing_hz * 1e-6 * times_us))
+    speed = np.abs(np.cos(2.0 * np.pi * 0.8 * 1e-6 * times_us))
     return times_us[rng.random(len(times_us)) < speed]
 
 
-def without_frames(times_us, rate_hz, gap_us, phase_us=3_000):
+def without_frames(times_us, rate_hz, gap_us):
     """Remove the events during each readout; return the others and the readouts' starts [us]."""
-    starts_us = np.arange(phase_us, DURATION_US, 1e6 / rate_hz)
+    starts_us = np.arange(3_000, DURATION_US, 1e6 / rate_hz)
     since_us = times_us - starts_us[np.searchsorted(starts_us[1:], times_us, side="right")]
     return times_us[(since_us < 0.0) | (since_us >= gap_us)], starts_us
 

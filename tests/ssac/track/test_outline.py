@@ -48,9 +48,9 @@ def motion_between_pixels(times_s, points_px):
     return replace(motion, position_sums_px=sums_px)
 
 
-def square(rate_hz, seed=0):
+def square(rate_hz):
     """Times and points of events all over a square that drifts along the epipolar lines."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, DURATION_S, rng.poisson(rate_hz * DURATION_S)))
     points_px = SIDE_PX * (rng.random((len(times_s), 2)) - 0.5) + [500.0, MIDDLE_Y]
     points_px[:, 0] += 200.0 * times_s
@@ -132,9 +132,9 @@ def centres_px(times_s):
     )
 
 
-def disc(seed=0, rate_hz=25_000):
-    rng = np.random.default_rng((seed, 1))
-    times_s = np.sort(rng.uniform(0.0, HELD_S, round(rate_hz * HELD_S)))
+def disc():
+    rng = np.random.default_rng((0, 1))
+    times_s = np.sort(rng.uniform(0.0, HELD_S, round(25_000 * HELD_S)))
     away = RADIUS_PX * np.sqrt(rng.random(len(times_s)))
     around = rng.uniform(0.0, 2.0 * np.pi, len(times_s))
     turned = np.column_stack([np.cos(around), np.sin(around)])
@@ -146,10 +146,10 @@ def angles_rad(times_s, towards_deg):
     return np.deg2rad(towards_deg) + 0.2 * np.sin(4.0 * times_s)
 
 
-def thread(towards_deg, length_px=400.0, rate_hz=150.0, goes_along=True, seed=0):
-    """Events of a line that begins at the object's rim, `rate_hz` on each pixel of its length."""
-    rng = np.random.default_rng((seed, 2))
-    times_s = np.sort(rng.uniform(0.0, HELD_S, round(rate_hz * length_px * HELD_S)))
+def thread(towards_deg, length_px=400.0, goes_along=True):
+    """Events of a line that begins at the object's rim, 150 a second on each pixel of it."""
+    rng = np.random.default_rng((0, 2))
+    times_s = np.sort(rng.uniform(0.0, HELD_S, round(150.0 * length_px * HELD_S)))
     away = RADIUS_PX + rng.uniform(0.0, length_px, len(times_s))
     angle = angles_rad(times_s, towards_deg)
     turned = np.column_stack([np.cos(angle), np.sin(angle)])
