@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ssac.estimate import Estimate
+from ssac import Estimate
 from tests.ssac.methods.flights import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, events_at, project, rotation_angle_deg
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac import Observation
 from ssac.events import events_from_arrays
-from ssac.track.observation import Observation
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, events_at, make_events, make_scene
 
 

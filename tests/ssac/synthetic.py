@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from ssac import EVENT_DTYPE
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig, distort_points
-from ssac.events import EVENT_DTYPE
 from ssac.track.clean import Clean
 
 WIDTH, HEIGHT, FOCAL_PX = 346, 260, 200.0

@@ -11,7 +11,7 @@ import pytest
 import ssac
 from experiments.lab.grid import _flat, configs_of
 from sim.scene.rig import Camera as SimulatedCamera
-from ssac import Chain, Config
+from ssac import Chain, Clock, Config, SsacError, checked
 from ssac.camera import (
     MAX_ROUND_TRIP_PX,
     Camera,
@@ -20,9 +20,6 @@ from ssac.camera import (
     undistort_points,
     undistortion_map,
 )
-from ssac.clock import Clock
-from ssac.config import checked
-from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status, first
 from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, slice_time, time_quantum_s
 from ssac.rules import Rules

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from ssac import PointTrack
 from ssac.files.track_files import save_track
-from ssac.points import PointTrack
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, project
 
 NOISE_PX = 0.3  # of labels

@@ -14,13 +14,12 @@ from unittest.mock import Mock
 import numba
 import pytest
 
+from ssac import Config, PluginError, SsacError
 from ssac.cli import exits, paths, sync
 from ssac.cli.command_line import COMMANDS, Entry, command_line, run
 from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, fail, guarded
 from ssac.cli.options import config_of
 from ssac.cli.progress import compilation_told, progress, say
-from ssac.config import Config
-from ssac.errors import PluginError, SsacError
 from ssac.screen import COLUMNS, columns
 from tests.recorded import T_D_S
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from ssac import load_events
 from ssac.cli.exits import BAD_INPUT, NO_ESTIMATE
-from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from tests.ssac.bags import arrays, mono, write_bag

@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac import sync
+from ssac import (
+    Clock,
+    Config,
+    Estimate,
+    Observation,
+    PointTrack,
+    Status,
+    load_events,
+    load_rig,
+    sync,
+)
 from ssac.cli.exits import NO_ESTIMATE
-from ssac.clock import Clock
-from ssac.config import Config
-from ssac.estimate import Estimate, Status
-from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
 from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import short_names
 from ssac.pipeline.plots import d_avg_px
 from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
-from ssac.points import PointTrack
 from ssac.rules import Rules, TrackRules
 from ssac.search.object_track import track_of_events
 from ssac.track.clean import clean
-from ssac.track.observation import Observation
 from tests.recorded import T_D_S
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, mixed

@@ -8,15 +8,13 @@ import pytest
 from faery import EVENTS_DTYPE
 from faery.file_encoder import events_to_file
 
-from ssac.errors import SsacError
+from ssac import PointTrack, SsacError, load_events
 from ssac.events import events_from_arrays
 from ssac.files.damage import Reading, readable
-from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.ros_bags import topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
-from ssac.points import PointTrack
 from tests.ssac.bags import PACKETS, PER_MESSAGE, arrays, mono, packets, points, write_bag
 from tests.ssac.files.test_event_files import HEIGHT, WIDTH, faerys, random_events
 

@@ -10,12 +10,8 @@ import pytest
 
 from experiments.studies.real import PAIRS, STRAYS, TRIPLES, real_figure
 from experiments.worlds import tracks
-from ssac.clock import Clock
-from ssac.errors import SsacError
-from ssac.estimate import Estimate
+from ssac import Clock, Estimate, SsacError, load_rig, load_track
 from ssac.files.drone_tracking import import_data_set
-from ssac.files.rigs import load_rig
-from ssac.files.track_files import load_track
 from ssac.network.graph import closures_s
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene

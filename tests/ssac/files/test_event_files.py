@@ -13,11 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ssac.clock import Clock
-from ssac.errors import SsacError
+from ssac import Clock, Reading, SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
 from ssac.files import hdf5
-from ssac.files.damage import Reading
 from ssac.files.event_files import (
     FORMATS,
     WRITTEN,

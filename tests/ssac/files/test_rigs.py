@@ -8,8 +8,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from ssac import SsacError
 from ssac.camera import Camera, same_camera
-from ssac.errors import SsacError
 from ssac.files.rigs import Step, load_rig, save_rig
 from tests.ssac.tracks import rig_document
 

@@ -5,8 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from ssac import Chain, Observation
-from ssac.config import Config
+from ssac import Chain, Config, Observation
 from tests.ssac.synthetic import DISTANCE_M, make_events, make_scene
 
 T_D_S = 0.05

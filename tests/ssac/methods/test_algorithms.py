@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import albl, ssac, ssac_known
-from ssac.events import EVENT_DTYPE
+from ssac import EVENT_DTYPE, PointTrack, albl, ssac, ssac_known
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods import correlations
-from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 from tests.ssac.methods.flights import CLEAN, T_D_S, seen
 from tests.ssac.synthetic import HEIGHT, make_scene, rotation_angle_deg, track_pair

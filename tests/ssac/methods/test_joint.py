@@ -6,9 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ssac.clock import Clock
-from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac import Clock, Config, Estimate, TwoViews
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, linearise, moved, solve
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods import clocks
@@ -16,7 +14,6 @@ from ssac.methods.clocks import clock_model
 from ssac.methods.joint import refine, sharp_pairs
 from ssac.methods.refinement import smooth_errors
 from ssac.rules import FitRules, JointRules
-from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack, Track
 from tests.ssac.synthetic import OTHER, angle_deg, make_scene, rotation_angle_deg, track_pair
 

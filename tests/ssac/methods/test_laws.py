@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Chain, Config, Observation
-from ssac.camera import Rig
+from ssac import Chain, Config, Observation, Rig
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.pipeline.registry import METHODS, OURS, Input
 from tests.answers import assert_same

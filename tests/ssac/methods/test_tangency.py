@@ -7,20 +7,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac import Chain, Observation, Status, joint_known, two_views
-from ssac.camera import Camera, Rig
-from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac import (
+    Camera,
+    Chain,
+    Config,
+    Estimate,
+    Observation,
+    PointTrack,
+    Rig,
+    Status,
+    TwoViews,
+    joint_known,
+    two_views,
+)
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import moved_pose, pencils
 from ssac.methods import joint, rigid_body, tangency
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
-from ssac.points import PointTrack
 from ssac.rules import OutlineRules, PointRules, Rules, TangencyRules
 from ssac.search.object_track import ShapedTrack
-from ssac.search.two_views import TwoViews
 from ssac.track.motion import point_motion
 from ssac.track.outline import Tangents, near_outline, tangents
 from ssac.track.silhouette import Images

@@ -7,12 +7,10 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from ssac.camera import Camera
-from ssac.clock import Clock
+from ssac import Camera, Clock, PointTrack
 from ssac.network.graph import Link, Pair
 from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
-from ssac.points import PointTrack
 from ssac.rules import Rules
 from ssac.search.object_track import ShapedTrack
 from tests.ssac.synthetic import project

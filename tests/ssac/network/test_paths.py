@@ -8,8 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from ssac.clock import Clock
-from ssac.errors import SsacError
+from ssac import Clock, SsacError
 from ssac.network.align import Similarity, best_shift, similarity
 from ssac.network.comparison import compare
 from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame

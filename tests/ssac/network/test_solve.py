@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.estimate import Estimate, Status
+from ssac import Estimate, PointTrack, Status
 from ssac.network.adjustment import border_offsets, known
 from ssac.network.graph import factor_of, shared_by
 from ssac.network.solve import NetworkAnswer, answer_of, path_at, rounded_by
 from ssac.network.state import BEHIND
-from ssac.points import PointTrack
 from ssac.rules import BodyRules
 from ssac.track.moments import View, image_by_place, perspective_shifts
 from tests.ssac.network.flights import CAMERA, RULES, Flight, make_flight, seen_by

@@ -12,16 +12,13 @@ import pytest
 import yaml
 
 import ssac
+from ssac import Config, Estimate, PointTrack, SsacError
 from ssac.camera import Camera, Cameras, Rig, same_camera
-from ssac.config import Config
-from ssac.errors import SsacError
-from ssac.estimate import Estimate
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
 from ssac.methods.method import our_methods
 from ssac.pipeline.opened import Known, cameras_of, check_distance, opened, opened_rig
 from ssac.pipeline.report import report_rows
-from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 from tests.answers import assert_same
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene

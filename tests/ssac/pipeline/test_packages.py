@@ -17,15 +17,10 @@ from experiments.lab.grid import Cell, load_config
 from experiments.lab.schedule import refusal
 from experiments.lab.scored import SCORED, scored_row
 from sim.recording import SimConfig
-from ssac.config import Config
-from ssac.errors import PluginError, SsacError
-from ssac.files.event_files import load_events
+from ssac import Chain, Config, Observation, PluginError, SsacError, load_events, load_rig
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.rigs import load_rig
-from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS, Input, Registry, choose_method
-from ssac.track.observation import Observation
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import ssac
-from ssac import Chain, Config, Observation, SsacError
+from ssac import Chain, Config, Observation, SsacError, Status
 from ssac.cli.command_line import COMMANDS, command_line, run
 from ssac.cli.sync import complete_method
-from ssac.estimate import Status
 from ssac.methods.method import all_summaries, our_methods
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS, Input, choose_method
 from ssac.track.clean import clean

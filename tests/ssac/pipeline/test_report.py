@@ -16,16 +16,14 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import ssac
+from ssac import Answer, ClockJump, Estimate, SsacError, Status
 from ssac.camera import Camera, distort_points
-from ssac.errors import SsacError
-from ssac.estimate import ClockJump, Estimate, Status
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import FIGURE_SUFFIXES
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.pose import moved_pose
 from ssac.pipeline import pair_charts, plots
-from ssac.pipeline.answer import Answer
 from ssac.pipeline.html_report import report_page, seen_by
 from ssac.pipeline.many import write_two
 from ssac.pipeline.opened import NOTHING

@@ -8,17 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 import ssac
+from ssac import Answer, Config, PointTrack, load_rig
 from ssac.camera import Rig, with_deviations
-from ssac.config import Config
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
-from ssac.files.rigs import load_rig
 from ssac.methods import tangency
-from ssac.pipeline.answer import Answer
 from ssac.pipeline.many import as_doubted, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
-from ssac.points import PointTrack
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter

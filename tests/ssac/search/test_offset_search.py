@@ -5,15 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.config import Config
-from ssac.events import EVENT_DTYPE
+from ssac import EVENT_DTYPE, Config, PointTrack, TwoViews
 from ssac.methods.verdict import offset_estimate
-from ssac.points import PointTrack
 from ssac.rules import AllOffsetsRules, PointRules, SearchRules
 from ssac.search import offset_search
 from ssac.search.all_offsets import search_all_offsets
 from ssac.search.start import large_jump
-from ssac.search.two_views import TwoViews
 from ssac.search.view import seen_by_both, seen_of
 from ssac.track.motion import object_motion, point_motion
 from tests.ssac.synthetic import CAMERA, K, make_events, make_scene

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Chain, Config, Status, joint
-from ssac.camera import Cameras, Rig
+from ssac import Cameras, Chain, Config, Rig, Status, joint
 from ssac.pipeline import retries
 from ssac.rules import Rules
 from ssac.search.one_object import one_object

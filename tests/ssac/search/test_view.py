@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import joint, two_views
+from ssac import Config, joint, two_views
 from ssac.camera import READOUT_STD_S, Camera, Rig, with_deviations
-from ssac.config import Config
 from ssac.rules import BlindRules
 from ssac.search import view
 from ssac.search.two_views import shutters_of

@@ -5,10 +5,10 @@ import pytest
 import yaml
 from scipy.spatial import cKDTree
 
+from ssac import load_track
 from ssac.config import N_MIN
 from ssac.events import EVENT_DTYPE, events_from_arrays
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.track_files import load_track
 from ssac.rules import FaintRules, NoiseRules
 from ssac.track.denoise import least_neighbours, masked_pixels, radius_filter, without_noise
 from ssac.track.faint import follow, smoothed_path

@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ssac import PointTrack, SsacError
 from ssac.camera import Camera, distort_points, same_camera, undistort_points
 from ssac.config import Cleaning, Config
-from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, events_from_arrays
-from ssac.points import PointTrack
 from ssac.rules import PointRules, Rules
 from ssac.track.clean import clean
 from ssac.track.motion import motion_of, object_motion, point_motion

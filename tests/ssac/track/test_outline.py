@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.camera import Camera
+from ssac import Camera, Observation
 from ssac.config import Cleaning, Config
 from ssac.events import EVENT_DTYPE, events_from_arrays
 from ssac.geometry.pose import Pencil
@@ -14,7 +14,6 @@ from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
 from ssac.track.motion import motion_of, object_motion
 from ssac.track.objects import objects_of, seem_several
-from ssac.track.observation import Observation
 from ssac.track.outline import highest_in_blocks, near_outline, tangents
 from ssac.track.thin_line import events_on_line
 from tests.ssac.cluttered import branches, flight, merged, mixed, noise

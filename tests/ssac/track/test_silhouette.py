@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.camera import Camera
+from ssac import Camera
 from ssac.events import events_from_arrays
 from ssac.rules import BodyRules, SilhouetteRules
 from ssac.track.body import Look, body_moves
