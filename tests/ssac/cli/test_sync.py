@@ -8,24 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac import (
-    Clock,
-    Config,
-    Estimate,
-    Observation,
-    PointTrack,
-    Status,
-    load_events,
-    load_rig,
-    sync,
-)
+from ssac import Clock, Config, Observation, PointTrack, Status, load_events, load_rig, sync
 from ssac.cli.exits import NO_ESTIMATE
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import short_names
 from ssac.pipeline.plots import d_avg_px
-from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
 from ssac.rules import Rules, TrackRules
 from ssac.search.object_track import track_of_events
@@ -175,10 +164,6 @@ def pair(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"), SCENE, TRACKS_S)
 
 
-def synced(folder, **more):
-    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / "rig.yaml", **more)
-
-
 def test_two_tracks_are_synchronised_from_nothing_and_no_offset_is_left(pair, tmp_path):
     late = tmp_path / "synced.csv"
     files = pair / "cam1.csv", pair / "cam2.csv", "--rig", pair / "rig.yaml"
@@ -226,17 +211,6 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     _, _, err = run("sync", pair / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
     assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
     assert "give seconds" in err
-
-
-def test_a_clock_of_pieces_may_leave_the_pose_open(pair, monkeypatch):
-    def estimate(cam1, cam2, rig, config):
-        status = Status.POOR_FIT if config.clock == "affine" else Status.AMBIGUOUS_POSE
-        return Estimate("joint", status, t_d_s=7.3, t_d_std_s=1e-3)
-
-    method = replace(choose_method("joint"), estimate=estimate)
-    monkeypatch.setattr("ssac.pipeline.api.choose_method", lambda *names: method)
-    answer = synced(pair, config=Config(interval_s=(7.0, 8.0), skew_prior_ppm=1e3)).answer
-    assert (answer.estimate.status, answer.clock) == (Status.AMBIGUOUS_POSE, "pieces")
 
 
 def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
@@ -307,7 +281,8 @@ def test_figures_show_the_pairs_with_the_readouts_found(shuttered, tmp_path):
 def test_the_readout_that_is_not_stated_is_told_or_taken_for_none_and_that_is_said(
     shuttered, asked
 ):
-    result = synced(shuttered, search="interval", estimate_readout=asked)
+    files = (shuttered / name for name in ("cam1.csv", "cam2.csv", "rig.yaml"))
+    result = sync(*files, search="interval", estimate_readout=asked)
     report = result.to_dict()
     assert report["readout_s"][0] == READOUT_S  # exact, as the rig says
     if not asked:
