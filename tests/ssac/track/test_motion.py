@@ -103,12 +103,6 @@ def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, r
     assert track.span_s == pytest.approx((1e-6 * shift_us, 0.9 + 1e-6 * shift_us), abs=1e-12)
 
 
-def test_a_delay_moves_gaps(cleaned):
-    gaps_us = np.array([[1_000_000, 2_000_000]])
-    late = replace(cleaned, gaps_us=gaps_us).delayed(0.25)
-    assert np.array_equal(late.gaps_us, gaps_us + 250_000)
-
-
 def test_sums_are_found_again_in_another_process_and_of_other_events(cleaned):
     motion = motion_of(cleaned, WINDOWS)
     some = replace(cleaned, events=cleaned.events[:10_000])  # other events are summed up anew
