@@ -4,7 +4,6 @@ import io
 import json
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -26,9 +25,6 @@ def run(*args: object) -> Run:
     with redirect_stdout(out), redirect_stderr(err), wide:
         code = main([*map(str, args)])
     return Run(code, out.getvalue(), err.getvalue())
-
-
-run_sync = partial(run, "sync")
 
 
 def read_json(path: Path) -> Any:

@@ -14,7 +14,7 @@ from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import noise
-from tests.ssac.command import run, run_sync
+from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_scene
 from tests.ssac.tracks import rig_document, save_pair
 
@@ -173,7 +173,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     first, _, more = args.partition(" ")
     rig_of_it = () if rig is None or "--rig" in more else ("--rig", rig)
-    result = run_sync(*form.format(first).split(), *rig_of_it, *more.split())
+    result = run("sync", *form.format(first).split(), *rig_of_it, *more.split())
     assert result.exit_code == BAD_INPUT
     assert result.stdout == ""
     *progress, last = result.stderr.splitlines()
@@ -193,7 +193,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
 )
 def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    result = run_sync(*args.split(), "--rig", "rig.yaml")
+    result = run("sync", *args.split(), "--rig", "rig.yaml")
     assert result.exit_code == NO_ESTIMATE, result.stderr
     first, *_ = result.stdout.splitlines()
     assert first.startswith("no estimate    ")

@@ -22,7 +22,7 @@ from ssac.track.clean import clean
 from tests.recorded import T_D_S
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, mixed
-from tests.ssac.command import read_json, run, run_sync
+from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, make_flight
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_angle_deg
 from tests.ssac.tracks import rig_document, save_pair
@@ -32,7 +32,7 @@ TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels err by about 1 ms
 
 def answered(folder, *args, code=0):
     """Run `ssac sync`, which must end so; return the run, and its JSON without the duration."""
-    result = run_sync(*args, "--json", folder / "out.json")
+    result = run("sync", *args, "--json", folder / "out.json")
     assert result.exit_code == code, result.stderr
     return result, {**read_json(folder / "out.json"), "seconds": 0}
 

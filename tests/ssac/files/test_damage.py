@@ -88,10 +88,8 @@ def test_an_aedat4_header_takes_no_memory_by_its_size_and_its_xml_must_be_parsed
 def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
     mixed = random_events(N)
     mixed["t"][1:] -= 400 * (np.arange(1, N) % 3)  # neighbours and their neighbours change places
-    expected, latest = (
-        mixed[np.argsort(mixed["t"], kind="stable")],
-        np.maximum.accumulate(mixed["t"]),
-    )
+    expected = mixed[np.argsort(mixed["t"], kind="stable")]
+    latest = np.maximum.accumulate(mixed["t"])
     n_back, late_us = np.sum(np.diff(mixed["t"]) < 0), np.max(latest - mixed["t"])
     for name, save in (("cam1.h5", save_events_h5), ("cam1.txt", save_events_text)):
         save(tmp_path / name, mixed, WIDTH, HEIGHT)

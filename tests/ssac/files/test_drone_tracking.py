@@ -115,6 +115,9 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
     assert row["status"] == "clock_jump"
 
 
+PHONE = "../calibration/phone/phone.json"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -125,14 +128,10 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         ("detections/cam0.txt", "1 0 0\n", "the object is seen in no frame"),
         ("detections/cam0.txt", "1 5 5\n1 9 9\n", "rows must be in time order"),
         ("detections/cam0.txt", "2 5 5\n1 9 9\n", "rows must be in time order"),
-        ("../calibration/phone/phone.json", "{}", "expected a calibration"),
-        ("../calibration/phone/phone.json", calibrated(fps=0), "0 frames a second"),
-        ("../calibration/phone/phone.json", calibrated(resolution=[346]), "not enough values"),
-        (
-            "../calibration/phone/phone.json",
-            calibrated(resolution=[1, 1]),
-            "no camera's of 1 x 1 px",
-        ),
+        (PHONE, "{}", "expected a calibration"),
+        (PHONE, calibrated(fps=0), "0 frames a second"),
+        (PHONE, calibrated(resolution=[346]), "not enough values"),
+        (PHONE, calibrated(resolution=[1, 1]), "no camera's of 1 x 1 px"),
     ],
 )
 def test_a_bad_data_set_is_one_line(data, tmp_path, name, text, message):

@@ -16,13 +16,7 @@ from hypothesis.extra.numpy import arrays
 from ssac import Clock, Reading, SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
 from ssac.files import hdf5
-from ssac.files.event_files import (
-    FORMATS,
-    WRITTEN,
-    load_events,
-    save_events_numpy,
-    write_synced,
-)
+from ssac.files.event_files import FORMATS, WRITTEN, load_events, save_events_numpy, write_synced
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.ros_bags import BAG_SUFFIXES
 from ssac.files.text import save_events_text

@@ -36,6 +36,7 @@ from ssac.search.start import Start
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.html_pages import EVIL, check_page
+from tests.ssac.cluttered import noise
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 from tests.ssac.tracks import frame_track
@@ -444,11 +445,7 @@ def test_events_of_a_distorted_lens_stand_where_a_straight_one_has_them(result):
 
 
 def test_two_minutes_of_noise_fit_on_a_page(result):
-    rng = np.random.default_rng(0)
-    events = np.zeros(1_500_000, ssac.EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 120_000_000, len(events)))
-    for name, size in (("x", WIDTH), ("y", HEIGHT), ("p", 2)):
-        events[name] = rng.integers(0, size, len(events))
+    events = noise(WIDTH, HEIGHT, 0.14, 120_000_000)  # 1.5 million
     n = len(events)
     cleans = tuple(replace(one, events=events, n_recorded=n) for one in result.answer.cleans)
     assert len(page_of(replace(result.answer, cleans=cleans))) < 3_000_000
