@@ -50,11 +50,8 @@ def unit(v):
 
 def errors(estimate, scene):
     """Errors of t_d [ms], R [deg] and t [deg]."""
-    return (
-        abs(estimate.t_d_s - T_D_S) * 1e3,
-        rotation_angle_deg(estimate.R, scene.R),
-        angle_deg(estimate.t, scene.t),
-    )
+    turned_deg = rotation_angle_deg(estimate.R, scene.R)
+    return np.array([abs(estimate.t_d_s - T_D_S) * 1e3, turned_deg, angle_deg(estimate.t, scene.t)])
 
 
 def off_the_truth(scene):

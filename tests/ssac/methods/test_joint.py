@@ -15,9 +15,10 @@ from ssac.methods.joint import refine, sharp_pairs
 from ssac.methods.refinement import smooth_errors
 from ssac.rules import FitRules, JointRules
 from ssac.track.motion import SharpTrack, Track
-from tests.ssac.synthetic import OTHER, angle_deg, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.box import errors
+from tests.ssac.methods.flights import T_D_S
+from tests.ssac.synthetic import OTHER, make_scene, rotation_angle_deg, track_pair
 
-T_D_S = 0.05
 SIZE_PX = 10.0  # of each image
 DELAYED = Clock(T_D_S)
 
@@ -75,7 +76,7 @@ VIEWS = white_views(SCENE, 0.3)
 
 
 def cramer_rao(scene, sigma_px, n=400):
-    """Return the Cramer-Rao bounds on the deviations of t_d [s], R [deg] and t [deg]."""
+    """Return the Cramer-Rao bounds on the deviations of t_d [ms], R [deg] and t [deg]."""
     times_s = (np.arange(n) + 0.5) * scene.duration_s / n
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
@@ -84,12 +85,7 @@ def cramer_rao(scene, sigma_px, n=400):
     jacobian = linearise(Problem(pairs, scene.rig, FitRules()), true).jacobian
     covariance = sigma_px**2 * np.linalg.inv(jacobian.T @ jacobian)
     angles = (np.sqrt(np.trace(covariance[part, part])) for part in (slice(1, 4), slice(4, 6)))
-    return np.sqrt(covariance[0, 0]), *np.degrees(list(angles))
-
-
-def errors_of(estimate, scene):
-    turned_deg = rotation_angle_deg(estimate.R, scene.R)
-    return np.array([estimate.t_d_s - T_D_S, turned_deg, angle_deg(estimate.t, scene.t)])
+    return 1e3 * np.sqrt(covariance[0, 0]), *np.degrees(list(angles))
 
 
 def test_zero_noise_and_a_wrong_start_give_the_truth():
@@ -99,7 +95,7 @@ def test_zero_noise_and_a_wrong_start_give_the_truth():
     start = moved(Parameters(truth.t_d_s, truth.R, truth.t), step)
     wrong = replace(truth, t_d_s=start.t_d_s, R=start.R, t=start.t)
     found = refine(wrong, white_views(scene, 0.0))
-    assert np.all(np.abs(errors_of(found, scene)) < [1e-5, 1e-3, 1e-3])  # where the rounds stop
+    assert np.all(errors(found, scene) < [1e-2, 1e-3, 1e-3])  # where the rounds stop
 
 
 @pytest.mark.parametrize(("sigma_px", "duration_s"), [(0.9, 20.0), (0.2, 10.0)])
@@ -109,9 +105,8 @@ def test_errors_follow_the_cramer_rao_bound(sigma_px, duration_s):
     for seed in range(40):
         scene = make_scene(seed % 8, duration_s=duration_s)
         estimate = refine(truth_of(scene), white_views(scene, sigma_px, seed, n_samples=n))
-        errors = errors_of(estimate, scene)
-        ratios.append(errors / cramer_rao(scene, sigma_px, n))
-        normalised.append(errors[0] / estimate.t_d_std_s)
+        ratios.append(errors(estimate, scene) / cramer_rao(scene, sigma_px, n))
+        normalised.append((estimate.t_d_s - T_D_S) / estimate.t_d_std_s)
     rms = np.sqrt(np.mean(np.square(ratios), axis=0))
     # Cauchy's loss adds 2.5 % to deviations. The rms of 40 runs is known to 11 %: three times that.
     assert np.all((rms > 0.65) & (rms < 1.4))

@@ -65,7 +65,7 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     estimate = refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
     # The tolerances are those of a lopsided box; tangents that ignore the readouts err by 2.0 ms.
-    assert np.all(np.array(box.errors(estimate, scene)) < [0.3, 0.6, 0.3])
+    assert np.all(box.errors(estimate, scene) < [0.3, 0.6, 0.3])
     assert tangency.for_blind(VIEWS) is VIEWS  # where no camera was blind
 
 
@@ -88,7 +88,7 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
         ]
         estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
         assert estimate.status == "ok"
-        errors_of.append(np.array(box.errors(estimate, SCENE)))
+        errors_of.append(box.errors(estimate, SCENE))
     # The same events give the same tangents, but for rounding of sums.
     alone = box.errors(tangents_alone(), SCENE)
     assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
@@ -103,7 +103,7 @@ def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
     found = refine_tangents(box.off_the_truth(scene), two_views(*cameras, scene.rig, CLEAN))
     assert found.status == "ok"
     # 8 s of events and only eight corners leave few tangents: three times the tables' goals.
-    assert np.all(np.array(box.errors(found, scene)) < [0.3, 0.6, 0.3])
+    assert np.all(box.errors(found, scene) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
         mean_ms = 1e3 * abs(joint_known(*cameras, scene.rig, CLEAN).t_d_s - T_D_S)
         assert mean_ms > 3.0 * box.errors(found, scene)[0]
@@ -236,15 +236,14 @@ def test_tangents_touch_the_outermost_corners(scale):
         for found, true in zip(sides, extremes, strict=True):
             valid = found.valid
             assert valid.sum() > 100
-            across = np.linalg.norm(pencil.gradients(found.points_px[valid]), axis=1)
+            gradients = pencil.gradients(found.points_px[valid])
+            across = np.linalg.norm(gradients, axis=1)
             misses_px = (pencil.angles(found.points_px[valid]) - true[valid]) / across / scale
             # An event is up to 0.7 px from its corner, and the outermost events count. On a finer
             # sensor this rounding is small, but the corner's path bends within a window.
             assert np.median(np.abs(misses_px)) < (0.7 if scale == 1 else 0.2)
             rates = np.gradient(true, times_s)[valid]
-            speeds = np.sum(
-                found.velocities_px_s[valid] * pencil.gradients(found.points_px[valid]), axis=1
-            )
+            speeds = np.sum(found.velocities_px_s[valid] * gradients, axis=1)
             # The tolerance is wide because the rate jumps where the tangent changes corners.
             assert np.median(np.abs(speeds - rates)) < 0.1 * np.median(np.abs(rates))
 
@@ -458,7 +457,7 @@ def test_one_point_of_the_body_makes_the_tangents_surer(monkeypatch):
     alone, joined = tangents_alone(), with_point(monkeypatch, 0.0)
     assert joined.without_body == ""
     assert joined.t_d_std_s < alone.t_d_std_s
-    assert np.all(np.array(box.errors(joined, SCENE)) <= box.errors(alone, SCENE))
+    assert np.all(box.errors(joined, SCENE) <= box.errors(alone, SCENE))
     assert joined.n_samples > alone.n_samples
 
 
