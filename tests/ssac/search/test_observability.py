@@ -13,7 +13,7 @@ from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
 from ssac.track.denoise import Clutter
 from ssac.track.motion import ObjectMotion, object_motion
-from tests.ssac.synthetic import Scene, denoised, events_at, make_scene, track_pair
+from tests.ssac.synthetic import denoised, events_at, make_scene, track_pair
 
 RULES = Rules()
 SEARCH = RULES.search
@@ -186,19 +186,15 @@ def views_of_both(*motions):
     return TwoViews(*motions, SCENE.rig, Config()).alone
 
 
-def flat(scene: Scene) -> Scene:
-    """Return the scene with its path projected into a plane."""
-    into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
-    return replace(scene, path=lambda t: scene.path(t) @ into_plane + [0.0, 0.0, 5.0])
-
-
 @pytest.mark.parametrize(("seed", "noise_px"), [(0, 0.3), *((seed, 0.0) for seed in range(6))])
 def test_a_planar_path_leaves_the_fundamental_matrix_open_with_noise_and_without(seed, noise_px):
     """Bug: a least eigenvalue of zero, which rounding may make negative, was taken as no F."""
     scene, times_s, rng = make_scene(seed), np.linspace(0.2, 19.0, 300), np.random.default_rng(1)
+    into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
+    flat = replace(scene, path=lambda t: scene.path(t) @ into_plane + [0.0, 0.0, 5.0])
     free, planar = (
         [p + rng.normal(0.0, noise_px, p.shape) for p in track_pair(one, times_s)]
-        for one in (scene, flat(scene))
+        for one in (scene, flat)
     )
     assert second_best(*free) > 14.0
     # All of a two-parameter family of F fit alike; only noise makes one fit better than another.

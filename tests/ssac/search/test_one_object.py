@@ -25,22 +25,23 @@ def seen(*streams):
     return [denoised(events) for events in streams]
 
 
-def crowd(ones, others):
-    cameras = [mixed(one, other) for one, other in zip(ones, others, strict=True)]
+def crowd(others):
+    """Return two cameras that see flight 4 and other things, and the thing of each event."""
+    cameras = [mixed(one, other) for one, other in zip(flight(4), others, strict=True)]
     return seen(*(events for events, _ in cameras)), [thing for _, thing in cameras]
 
 
-def assert_right(found, scene):
+def assert_right(found):
     assert found.status == Status.OK, found.reason
     # The mean errors are 0.15 ms and 0.2 deg for clouds of 16 px in the 4 of 8 s that are kept.
     assert abs(found.t_d_s - T_D_S) < max(3.5 * found.t_d_std_s, NEAR_S)
-    assert rotation_angle_deg(found.R, scene.R) < max(3.5 * found.r_std_deg, 0.5)
+    assert rotation_angle_deg(found.R, make_scene(4).R) < max(3.5 * found.r_std_deg, 0.5)
 
 
 @pytest.fixture(scope="module")
 def two_flights():
     """Return two cameras that see both flights, the flight of each event, and the choice."""
-    cameras, things = crowd(flight(4), flight(5))
+    cameras, things = crowd(flight(5))
     return cameras, things, one_object(cameras, RULES, NEAR)
 
 
@@ -70,7 +71,7 @@ def test_one_thing_passes_as_it_is():
 def test_other_things_are_left_out(others, n_seen, most_of_other, two_flights):
     cameras, things, (found, refusal) = two_flights
     if others is not None:
-        cameras, things = crowd(flight(4), others())
+        cameras, things = crowd(others())
         found, refusal = one_object(cameras, RULES, NEAR)
     assert refusal is None
     assert [left.used.seen for left in found] == n_seen
@@ -85,7 +86,7 @@ def test_other_things_are_left_out(others, n_seen, most_of_other, two_flights):
         share_of_other = np.bincount(bins, thing[kept])[bins] / np.bincount(bins)[bins]
         assert np.mean((share_of_other > 0.1) & (share_of_other < 0.9)) < 0.1
         assert np.mean(thing[kept]) <= most_of_other
-    assert_right(joint(*found, RIG), make_scene(4))
+    assert_right(joint(*found, RIG))
 
 
 def test_a_clock_that_shows_more_changes_nothing(two_flights):
@@ -156,6 +157,6 @@ def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, m
     # A method of the paper gets all events.
     assert chain.estimate("albl", 0, 2).status != Status.SEVERAL_OBJECTS
     assert len(chain.answer("joint", 0, 2).cleans[1].events) == 0
-    assert_right(chain.estimate("joint"), make_scene(4))
+    assert_right(chain.estimate("joint"))
     _, refusal = one_object([two_flights[0][0], *third], RULES, NEAR)
     assert "the cameras see 2 and 2 things at a time" in refusal.reason

@@ -26,10 +26,6 @@ def mask_of(events):
     return masked_pixels(events, WIDTH, HEIGHT, RULES)[0]
 
 
-def background_hz_of(events):
-    return masked_pixels(events, WIDTH, HEIGHT, RULES)[1]
-
-
 def pixels(*squares):
     found = np.zeros((HEIGHT, WIDTH), bool)
     for x, y, size_px in squares:
@@ -108,7 +104,7 @@ def test_a_gap_in_the_recording_changes_nothing():
 
 
 def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background():
-    assert background_hz_of(blob(flight)) == 0.0
+    assert masked_pixels(blob(flight), WIDTH, HEIGHT, RULES)[1] == 0.0
     for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
         assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
@@ -125,7 +121,7 @@ def test_a_bar_that_stands_and_flickers_stays():
 def test_the_background_is_that_of_ordinary_pixels(hz):
     start = noise(WIDTH, HEIGHT, 1000.0, 20_000)  # at first, every pixel fires again and again
     parts = blob(flight), lamp(3, 60, 12, LONG_US), noise(WIDTH, HEIGHT, hz, LONG_US), start
-    found_hz = background_hz_of(merged(*parts))
+    _, found_hz = masked_pixels(merged(*parts), WIDTH, HEIGHT, RULES)
     # The object and the lamp fill 7 of 30 squares, which shifts the middle of all by a quarter of
     # the deviation; and a Poisson number's median is 1/3 below its mean: at 0.2 Hz, 1/3 of 5.
     of_square = hz * 25.6

@@ -226,13 +226,6 @@ def test_the_motion_without_the_line_goes_where_the_motion_goes():
 RULES = ObjectRules()
 
 
-@pytest.fixture(scope="module")
-def both():
-    """One camera's events of two flights, the flight that each is of, and the objects found."""
-    events, thing = mixed(flight(4)[0], flight(5)[0])
-    return events, thing, objects_of(events, CAMERA, RULES)
-
-
 @pytest.mark.parametrize("size_m", [0.2, 0.8])  # images of 8 and 32 px
 def test_one_thing_seems_one(size_m):
     for events in make_events(make_scene(4, duration_s=8.0), 4, size_m=size_m):
@@ -246,8 +239,9 @@ def test_the_parts_of_a_large_thing_are_one():
     assert not objects_of(events, CAMERA, RULES).are_several
 
 
-def test_each_piece_is_of_one_thing(both):
-    events, thing, found = both
+def test_each_piece_is_of_one_thing():
+    events, thing = mixed(flight(4)[0], flight(5)[0])
+    found = objects_of(events, CAMERA, RULES)
     assert found.are_several
     assert found.n_seen == 2
     shares, n_bins = [], 0

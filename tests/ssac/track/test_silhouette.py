@@ -360,15 +360,12 @@ def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[View, np.nd
     return View(R, np.full(2, FOCAL_PX), points, spreads), centres - FOCAL_PX * t[:2] / t[2]
 
 
-def slowly_turning() -> Rotation:
-    """Turns of 3 deg in all, about a tilted attitude: smoothing leaves them as they are."""
-    angles = np.linspace(-1.5, 1.5, N_TURNS)
-    return Rotation.from_euler("xyz", np.column_stack([20.0 + angles, 35.0 + angles, angles]), True)
-
-
 @pytest.mark.parametrize("size", [1.0, 0.3, 0.1])
 def test_moments_and_shifts_are_those_of_a_plate(size: float) -> None:
-    turns = slowly_turning()
+    # The plate turns by 3 deg in all, about a tilted attitude: smoothing leaves that as it is.
+    angles = np.linspace(-1.5, 1.5, N_TURNS)
+    attitudes_deg = np.column_stack([20.0 + angles, 35.0 + angles, angles])
+    turns = Rotation.from_euler("xyz", attitudes_deg, degrees=True)
     told = [seen_by(angle_deg, turns, size) for angle_deg in ANGLES_DEG]
     views = [view for view, _ in told]
     moments = second_moments(views, 1.0)
