@@ -40,8 +40,7 @@ def answered(folder, *args, code=0):
 def test_the_offset_is_found_told_and_taken_off_the_synced_events(recorded, tmp_path):
     """Results are on stdout, progress on stderr."""
     synced = tmp_path / "synced.h5"
-    options = ("--rig", recorded / "rig.yaml", "--write-synced", synced)
-    result, found = answered(tmp_path, *recorded.pair, *options)
+    result, found = answered(tmp_path, recorded.folder, "--write-synced", synced)
     assert "the outline does not close" in found["note"]  # the object is a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
@@ -110,8 +109,8 @@ def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
 @pytest.mark.parametrize("method", ["ssac", "zncc_f"])
 def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, recorded, tmp_path):
     synced = tmp_path / "synced.h5"
-    args = ("--rig", recorded / "rig.yaml", "--method", method, "--write-synced", synced)
-    result, found = answered(tmp_path, *recorded.pair, *args)
+    args = ("--method", method, "--write-synced", synced)
+    result, found = answered(tmp_path, recorded.folder, *args)
     assert f"{synced}, by an offset of unknown accuracy\n" in result.stderr
     assert ("denoise" in result.stderr) == (method != "zncc_f")
     note = f"{method} states no standard deviation"
@@ -129,9 +128,8 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
 
 def test_no_reliable_estimate_says_why(recorded, tmp_path):
     synced, plot = tmp_path / "synced.h5", tmp_path / "figures"
-    args = ("--rig", recorded / "rig.yaml", "--method", "ssac", "--search", "-1", "0.02")
-    outputs = ("--write-synced", synced, "--plot", plot)
-    result, found = answered(tmp_path, *recorded.pair, *args, *outputs, code=NO_ESTIMATE)
+    args = ("--method", "ssac", "--search", -1, 0.02, "--write-synced", synced, "--plot", plot)
+    result, found = answered(tmp_path, recorded.folder, *args, code=NO_ESTIMATE)
     assert found["status"] == "search_bound"
     assert "widen the interval" in found["reason"]
     assert f"search_bound: {found['reason']}" in result.stdout
@@ -142,7 +140,7 @@ def test_no_reliable_estimate_says_why(recorded, tmp_path):
 
 
 def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
-    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--no-denoise")
+    args = (recorded.folder, "--method", "joint", "--no-denoise")
     stds = []
     for focal, centre in (("0", "0"), ("1", "3")):
         options = "--n-samples", 150, "--focal-std", focal, "--centre-std", centre
