@@ -102,9 +102,8 @@ def parts(events):
 
 
 def _time(types):
-    return lambda t_us: types.types["builtin_interfaces/msg/Time"](
-        int(t_us * 1000) // 10**9, int(t_us * 1000) % 10**9
-    )
+    time = types.types["builtin_interfaces/msg/Time"]
+    return lambda t_us: time(*divmod(int(t_us * 1000), 10**9))
 
 
 def _header(types, is_ros1, t_us):

@@ -182,7 +182,7 @@ def test_the_nearest_pose_improves_on_the_decomposition():
 
 def test_pairs_that_disagree_about_the_pose_show():
     scene = make_scene(seed=4)
-    points = np.array([scene.path(time_s) for time_s in np.linspace(0.0, 20.0, 50)])
+    points = scene.path(np.linspace(0.0, 20.0, 50))
     points[::2] = -points[::2]  # behind camera 1: the same F, another of the four poses
     p1, p2 = project(points), project(points @ scene.R.T + scene.t)
     F = fundamental_from_pose(K, K, scene.R, scene.t)
