@@ -18,13 +18,14 @@ class Run(NamedTuple):
     stderr: str
 
 
-def run(*args: object) -> Run:
-    """Run a command line as on a screen that is wide enough for every row."""
+def run(*args: object, code: int | None = 0) -> Run:
+    """Run a command line, which must end with a code, as on a screen that is wide enough."""
     out, err = io.StringIO(), io.StringIO()
     wide = patch.object(columns, "__defaults__", (sys.maxsize,))
     with redirect_stdout(out), redirect_stderr(err), wide:
-        code = main([*map(str, args)])
-    return Run(code, out.getvalue(), err.getvalue())
+        ended = Run(main([*map(str, args)]), out.getvalue(), err.getvalue())
+    assert code in (None, ended.exit_code), ended.stderr
+    return ended
 
 
 def read_json(path: Path) -> Any:

@@ -171,8 +171,8 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     first, _, more = args.partition(" ")
     rig_of_it = () if rig is None or "--rig" in more else ("--rig", rig)
-    result = run("sync", *form.format(first).split(), *rig_of_it, *more.split())
-    assert result.exit_code == BAD_INPUT
+    cameras = form.format(first).split()
+    result = run("sync", *cameras, *rig_of_it, *more.split(), code=BAD_INPUT)
     assert result.stdout == ""
     *progress, last = result.stderr.splitlines()
     assert not any("error" in line for line in progress)
@@ -191,8 +191,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
 )
 def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    result = run("sync", *args.split(), "--rig", "rig.yaml")
-    assert result.exit_code == NO_ESTIMATE, result.stderr
+    result = run("sync", *args.split(), "--rig", "rig.yaml", code=NO_ESTIMATE)
     first, *_ = result.stdout.splitlines()
     assert first.startswith("no estimate    ")
     assert re.search(message, first)
@@ -202,6 +201,5 @@ def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, 
 
 def test_one_camera_of_a_bag_is_not_sent_to_an_option_of_two(folder, tmp_path):
     args = folder / "both.bag", "--rig", folder / "rig.yaml", "--out", tmp_path / "track.csv"
-    code, _, err = run("track", *args)
-    assert code == BAD_INPUT
+    _, _, err = run("track", *args, code=BAD_INPUT)
     assert err.endswith(f"name one behind the bag, as {folder}/both.bag/left\n")

@@ -32,8 +32,7 @@ TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels err by about 1 ms
 
 def answered(folder, *args, code=0):
     """Run `ssac sync`, which must end so; return the run, and its JSON without the duration."""
-    result = run("sync", *args, "--json", folder / "out.json")
-    assert result.exit_code == code, result.stderr
+    result = run("sync", *args, "--json", folder / "out.json", code=code)
     return result, {**read_json(folder / "out.json"), "seconds": 0}
 
 
@@ -206,15 +205,15 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     track = load_track(pair / "cam2.csv")
     save_track(tmp_path / "ms.csv", replace(track, times_s=1e3 * track.times_s))
     rig, nowhere = ("--rig", pair / "rig.yaml"), ("--search", 9e6, 9e6 + 1.0)  # keeps the run short
-    _, _, err = run("sync", pair / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
+    args = (pair / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
+    _, _, err = run("sync", *args, code=NO_ESTIMATE)
     assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
     assert "give seconds" in err
 
 
 def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
     track = tmp_path / "cam1.csv"
-    code, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
-    assert code == 0, err
+    _, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
     assert "points from" in out
     assert "warning" not in err
     result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
@@ -238,8 +237,7 @@ def test_a_track_of_several_things_comes_with_a_warning(recorded, tmp_path):
     two = tmp_path / "two.h5"
     save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
     args = ("--rig", recorded / "rig.yaml", "--out", tmp_path / "two.csv")
-    code, _, err = run("track", two, *args)
-    assert code == 0, err
+    _, _, err = run("track", two, *args)
     assert "two.h5: 2 things move at a time" in err
     assert err.count("warning") == 1
 
