@@ -2,6 +2,7 @@
 
 import os
 import tracemalloc
+from functools import partial
 
 import faery
 import h5py
@@ -112,20 +113,16 @@ def bag_of(messages):
     return lambda path, events: write_bag(path, {"/camera/events": messages(events)})
 
 
-def bag_of_words(encoding, of_a_camera, n_bytes, is_bigendian=False):
+def bag_of_words(encoding, of_a_camera, n_bytes, is_bigendian, path, events):
     """A bag of a camera's words, cut into packets anywhere; the first packet has no time yet."""
-
-    def write(path, events):
-        of_a_camera(path, events)
-        data = path.read_bytes().partition(b"% end\n")[2]
-        some = [data[k : k + n_bytes] for k in range(0, len(data), n_bytes)]
-        unknown = {"evt2": 4 * b"\1", "evt3": 2 * b"\1"}[encoding]
-        if is_bigendian:
-            some = [np.frombuffer(one, "<u4").astype(">u4").tobytes() for one in some]
-        data = [(0, unknown), *((0, one) for one in some)]
-        write_bag(path, {"/camera/events": packets(encoding, data, is_bigendian)})
-
-    return write
+    of_a_camera(path, events)
+    data = path.read_bytes().partition(b"% end\n")[2]
+    some = [data[k : k + n_bytes] for k in range(0, len(data), n_bytes)]
+    unknown = {"evt2": 4 * b"\1", "evt3": 2 * b"\1"}[encoding]
+    if is_bigendian:
+        some = [np.frombuffer(one, "<u4").astype(">u4").tobytes() for one in some]
+    data = [(0, unknown), *((0, one) for one in some)]
+    write_bag(path, {"/camera/events": packets(encoding, data, is_bigendian)})
 
 
 FORMS = {
@@ -151,8 +148,8 @@ FORMS = {
     "prophesee.db3": bag_of(lambda events: event_arrays(events, "prophesee_event_msgs")),
     "mono.bag": bag_of(mono),
     "mono.db3": bag_of(lambda events: mono(events, ">")),
-    "evt2.mcap": bag_of_words("evt2", evt2_of_a_camera, 36, is_bigendian=True),
-    "evt3.bag": bag_of_words("evt3", evt3_of_a_camera, 2000),
+    "evt2.mcap": partial(bag_of_words, "evt2", evt2_of_a_camera, 36, True),
+    "evt3.bag": partial(bag_of_words, "evt3", evt3_of_a_camera, 2000, False),
 }
 WITHOUT_SIZE = ("dsec.h5", "array.npy")
 BAGS = tuple(name for name in FORMS if name.endswith(BAG_SUFFIXES))

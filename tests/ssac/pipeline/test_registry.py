@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 
 import numpy as np
@@ -144,16 +145,13 @@ def calls(monkeypatch):
     """Count the calls of each stage, by its name."""
     counts = Counter()
 
-    def counted(name, work):
-        def called(*args, **options):
-            counts[name] += 1
-            return work(*args, **options)
-
-        return called
+    def counted(name, work, *args, **options):
+        counts[name] += 1
+        return work(*args, **options)
 
     for place in STAGES:
         module, _, name = place.rpartition(".")
-        monkeypatch.setattr(place, counted(name, getattr(import_module(module), name)))
+        monkeypatch.setattr(place, partial(counted, name, getattr(import_module(module), name)))
     return counts
 
 
