@@ -142,14 +142,10 @@ def of_points(track):
     return point_motion(track, CAMERA, PointRules())
 
 
-def motions(offset_s):
-    return [*map(of_points, frame_tracks(make_scene(1), offset_s))]
-
-
 @pytest.mark.parametrize("offset_s", [0.0, 1234.567, -86400.0])
 def test_any_offset_is_found_among_all_and_no_other_comes_near(offset_s):
-    shares = []
-    found = search_all_offsets(*motions(offset_s), OF_ALL, progress=shares.append)
+    shares, motions = [], map(of_points, frame_tracks(make_scene(1), offset_s))
+    found = search_all_offsets(*motions, OF_ALL, progress=shares.append)
     best = found.guesses[0]
     assert best.t_d_s == pytest.approx(offset_s, abs=0.02)  # half a frame
     assert best.cost < OF_ALL.max_cost
@@ -193,7 +189,7 @@ def test_no_jump_is_found_of_one_offset_nor_of_different_objects():
 
 def test_a_camera_without_a_path_tells_nothing():
     """Bug: a camera without any event gave an infinite number of steps."""
-    one, _ = motions(0.0)
+    one = of_points(frame_track(make_scene(1), 1, 30.0))
     at_rest = of_points(PointTrack(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)))
     for nothing in (at_rest, *(object_motion(np.zeros(n, EVENT_DTYPE), CAMERA) for n in (0, 1))):
         assert not search_all_offsets(one, nothing, OF_ALL).guesses

@@ -21,14 +21,10 @@ NEAR = (-1.0, 1.0)  # offsets searched
 NEAR_S = 3e-4  # an error of up to this is right, whatever the deviation
 
 
-def seen(*streams):
-    return [denoised(events) for events in streams]
-
-
 def crowd(others):
     """Return two cameras that see flight 4 and other things, and the thing of each event."""
     cameras = [mixed(one, other) for one, other in zip(flight(4), others, strict=True)]
-    return seen(*(events for events, _ in cameras)), [thing for _, thing in cameras]
+    return [denoised(events) for events, _ in cameras], [thing for _, thing in cameras]
 
 
 def assert_right(found):
@@ -46,7 +42,7 @@ def two_flights():
 
 
 def test_one_thing_passes_as_it_is():
-    cameras = seen(*flight(4))
+    cameras = [*map(denoised, flight(4))]
     found, refusal = one_object(cameras, RULES, NEAR)
     assert refusal is None
     assert [(left.used.seen, left.used.share) for left in found] == [(1, 1.0), (1, 1.0)]
@@ -126,7 +122,7 @@ def test_three_cameras_keep_one_flight(two_flights):
     """Bug: each pair chose on its own, so that a camera's two pairs were of different flights."""
     cameras, things, _ = two_flights
     third, thing = third_camera(4, 5)
-    found, refusal = one_object([*cameras, *seen(third)], RULES, NEAR)
+    found, refusal = one_object([*cameras, denoised(third)], RULES, NEAR)
     assert refusal is None
     recorded = (*(camera.events for camera in cameras), third)
     is_second = []  # in tenths of a second of camera 1's clock; NaN where few events are kept
@@ -147,8 +143,8 @@ def test_three_cameras_keep_one_flight(two_flights):
 
 def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, monkeypatch):
     monkeypatch.setattr(retries, "WAYS", ())
-    third = seen(third_camera(6, 7)[0])
-    chain = Chain((*two_flights[0], *third), Cameras((CAMERA,) * 3), Config(interval_s=NEAR))
+    third = denoised(third_camera(6, 7)[0])
+    chain = Chain((*two_flights[0], third), Cameras((CAMERA,) * 3), Config(interval_s=NEAR))
     for method in ("joint", "ssac", "tangency"):
         found = chain.estimate(method, 0, 2)
         assert (found.method, found.status) == (method, Status.SEVERAL_OBJECTS)
@@ -158,5 +154,5 @@ def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, m
     assert chain.estimate("albl", 0, 2).status != Status.SEVERAL_OBJECTS
     assert len(chain.answer("joint", 0, 2).cleans[1].events) == 0
     assert_right(chain.estimate("joint"))
-    _, refusal = one_object([two_flights[0][0], *third], RULES, NEAR)
+    _, refusal = one_object([two_flights[0][0], third], RULES, NEAR)
     assert "the cameras see 2 and 2 things at a time" in refusal.reason
