@@ -64,6 +64,25 @@ def test_a_point_without_a_line_has_no_finite_distance():
         assert np.isnan(epipolar.epipolar_distance(np.zeros((3, 3)), p1, p2)).all()
 
 
+def test_a_rigid_move_of_the_world_changes_nothing():
+    rng = np.random.default_rng(0)
+    points_W = rng.uniform(-1.0, 1.0, (50, 3))
+    R1_W, R2_W = Rotation.random(2, rng).as_matrix()
+    t1_W, t2_W = np.array([[0.0, 0.0, 5.0], [0.3, -0.2, 6.0]])
+    move, shift = Rotation.random(random_state=1).as_matrix(), np.array([3.0, -2.0, 1.0])
+
+    def relative_pose(R1, t1, R2, t2):
+        R = R2 @ R1.T
+        return fundamental_from_pose(K, K, R, t2 - R @ t1)
+
+    # World points X become move X + shift; so R_W becomes R_W move', t_W: t_W - R_W move' shift.
+    F = relative_pose(R1_W, t1_W, R2_W, t2_W)
+    moved = [(R @ move.T, t - R @ move.T @ shift) for R, t in ((R1_W, t1_W), (R2_W, t2_W))]
+    assert np.allclose(relative_pose(*moved[0], *moved[1]), F, atol=1e-12 * np.linalg.norm(F))
+    p1, p2 = project(points_W @ R1_W.T + t1_W), project(points_W @ R2_W.T + t2_W)
+    assert np.allclose(epipolar.sampson_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
+
+
 def test_sampson_distance_of_noise_has_its_deviation(exact):
     F, p1, p2 = exact
     rng = np.random.default_rng(0)
