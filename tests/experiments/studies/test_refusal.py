@@ -90,12 +90,6 @@ def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
     assert other.cam1.events.size != first.cam1.events.size
 
 
-def test_paths_are_of_positions():
-    for name, path in open_flights.PATHS.items():
-        positions = path(np.random.default_rng(1))(np.linspace(0.0, 8.0, 50))
-        assert positions.shape == (50, 3), name
-
-
 # --- Whether refusals say why ---
 
 CELLS = refusal.reason_cells(base=1, recordings=1)

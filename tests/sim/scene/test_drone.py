@@ -104,14 +104,6 @@ def test_file_is_centred_scaled_and_grey_without_colours(tmp_path, size_m, exten
     np.testing.assert_array_equal(drone.parts[0].albedo, DEFAULT_ALBEDO)
 
 
-def test_inside_out_file_is_turned_outward(tmp_path):
-    box = trimesh.creation.box()
-    box.invert()
-    (part,) = from_file(box, tmp_path / "box.stl").parts
-    assert len(part.faces) == 12
-    assert as_mesh(part).volume == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
 def test_each_body_of_a_closed_mesh_faces_outward(tmp_path, suffix):
     body, arm = trimesh.creation.box((1.0, 1.0, 0.3)), trimesh.creation.box((0.2, 0.2, 0.2))
