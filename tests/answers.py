@@ -202,7 +202,8 @@ def _is_same(one: Any, other: Any) -> bool:
     if type(one) is not type(other):
         return False
     if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
+        may_be_nan = one.dtype.names is None  # which NumPy cannot tell of fields
+        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=may_be_nan)
     return repr(one) == repr(other)  # shows every bit of a float, and NaNs alike
 
 
