@@ -16,10 +16,10 @@ from experiments.drawing.events import (
     preprocessing_figure,
 )
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 from tests.recorded import T_D_S
+from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
 
@@ -73,11 +73,9 @@ def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch
 
 
 def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
-    rng, noise = np.random.default_rng(1), np.empty(round(2e4 * 8.0), EVENT_DTYPE)
-    for field, end in (("t", 8_000_000), ("x", WIDTH), ("y", HEIGHT), ("p", 2)):
-        noise[field] = rng.integers(0, end, len(noise))
-    events = np.concatenate([aligned.recorded(0).events, noise])
-    with_noise = with_events(aligned, events[np.argsort(events["t"])])
+    rate_hz = 2e4  # of the whole sensor
+    added = noise(WIDTH, HEIGHT, rate_hz / (WIDTH * HEIGHT), 8_000_000)
+    with_noise = with_events(aligned, merged(aligned.recorded(0).events, added))
     clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise)
     titles = [
         [axes.get_title().split("\n")[1] for axes in figure.axes] for figure in (clean, noisy)
@@ -85,9 +83,9 @@ def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
     (raw, kept), (raw_noisy, kept_noisy) = (
         [int(text.split(",")[0].replace(" ", "")) for text in row[:2]] for row in titles
     )
-    length_s = STRETCH_S[1] - STRETCH_S[0]
+    expected = rate_hz * (STRETCH_S[1] - STRETCH_S[0])
     # The tolerance is five standard deviations of a Poisson distribution.
-    assert raw_noisy - raw == pytest.approx(2e4 * length_s, abs=5 * np.sqrt(2e4 * length_s))
+    assert raw_noisy - raw == pytest.approx(expected, abs=5 * np.sqrt(expected))
     # The noise that is left lies among the object's events, a few per cent of their number.
     assert kept <= kept_noisy < 1.05 * kept
     for axes in noisy.axes[:2]:  # the same share of both is drawn
