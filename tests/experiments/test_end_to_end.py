@@ -27,6 +27,7 @@ from ssac import joint, joint_known, ssac, ssac_known, sync, tangency
 from ssac.config import Config
 from ssac.pipeline.api import usable_events
 from ssac.track.observation import Observation
+from tests.sim.scenes import LENSES
 
 T_D_S, R_DEG, T_DEG = 1.2e-3, 1.6, 1.0
 
@@ -43,13 +44,6 @@ CLEAN = Config(denoise=False)  # the events are denoised already
 simulated = cache(partial(simulate, seed=1))
 
 
-def flown(config):
-    """Return a recording, and the events of both cameras without noise."""
-    recording = simulated(config)
-    events = usable_events(*observations(recording), rig_of(recording), Config())
-    return recording, [Observation(left) for left in events]
-
-
 def assert_close(estimate, truth, t_d_s):
     assert estimate.status == "ok", estimate.reason
     errors = score(estimate, t_d_s, truth.R, truth.t)
@@ -58,22 +52,17 @@ def assert_close(estimate, truth, t_d_s):
     assert np.isnan(errors.t_error_deg) or errors.t_error_deg < T_DEG
 
 
-LENSES = {
-    "none": (),
-    "radtan": (-0.2, 0.05, 0.001, -0.001),
-    "equidistant": (0.05, -0.02, 0.005, -0.001),
-}
-
-
 @pytest.mark.parametrize(
     ("angle_deg", "t_d_s", "lens"),
     [(30.0, 0.005, "none"), (90.0, 0.5, "radtan"), (150.0, -0.3, "equidistant")],
 )
 def test_offset_and_pose(angle_deg, t_d_s, lens):
     distortion = {"distortion_model": lens, "distortion_coeffs": LENSES[lens]}
-    recording, (cam1, cam2) = flown(replace(SHORT, angle_deg=angle_deg, **distortion))
-    assert len(cam1.events) < len(observations(recording)[0].events)
+    recording = simulated(replace(SHORT, angle_deg=angle_deg, **distortion))
     rig, known = rig_of(recording), rig_of(recording, with_extrinsics=True)
+    recorded_by = observations(recording)
+    cam1, cam2 = map(Observation, usable_events(*recorded_by, rig, Config()))  # without noise
+    assert len(cam1.events) < len(recorded_by[0].events)
     assert rig.cam1.distortion_model == lens
     late = cam2.delayed(t_d_s - recording.truth.t_d_s)
     found = [method(cam1, late, rig, CLEAN) for method in (ssac, joint)]

@@ -27,10 +27,9 @@ from sim.twin.bench import TwinConfig, bench_rig, printed
 from sim.twin.calibration import CalibrationConfig, calibrated_camera
 from sim.twin.pendulum import PendulumConfig, hanging
 from sim.twin.room import RoomConfig
-from tests.sim.scenes import box_drone, make_camera, poses, rng
+from tests.sim.scenes import QUICK, box_drone, make_camera, poses, rng
 
 NAN, INF = float("nan"), float("inf")
-QUICK = SimConfig(spline=SplineConfig(duration_s=1.0), render=RenderConfig(check=False))
 GREY = np.full((3, 4, 5), 0.5)
 STEADY = np.arange(3.0)
 LENS = {"distortion_model": "radtan", "distortion_coeffs": (0.1,)}
