@@ -6,7 +6,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import save_events_h5
@@ -21,11 +20,8 @@ DURATION_S = 8.0
 KALIBR = yaml.safe_dump(rig_document(distortion_coeffs=[]))
 
 
-def kalibr_with_pose(R: NDArray[np.float64], t: NDArray[np.float64]) -> str:
-    """Return the rig's text with the pose that takes camera 1's coordinates to camera 2's."""
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = R, t
-    return f"{KALIBR}  T_cn_cnm1: {T_2_1.tolist()}\n"
+def kalibr_with_pose(scene: Scene) -> str:
+    return f"{KALIBR}  T_cn_cnm1: {scene.rig.T_2_1.tolist()}\n"
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ def record(folder: Path) -> Recorded:
         add_frames(folder / f"{name}.h5", offset_s)
     save_events_text(folder / "cam2.txt", streams[1], WIDTH, HEIGHT)
     (folder / "rig.yaml").write_text(KALIBR)
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene))
     return Recorded(folder, scene)
 
 

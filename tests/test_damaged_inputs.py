@@ -4,7 +4,6 @@
 ends the whole run.
 """
 
-import json
 import re
 import resource
 import warnings
@@ -28,8 +27,10 @@ from ssac.files.event_files import load_events
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
 from ssac.points import PointTrack
+from tests.experiments.reported import write_truth
 from tests.recorded import kalibr_with_pose
 from tests.ssac.files.test_event_files import BAGS, FORMS, random_events
+from tests.ssac.synthetic import make_scene
 
 MAX_SILENT = 0.005
 """Largest share of damages that may lose events unseen, as a changed bit can make another event."""
@@ -114,18 +115,7 @@ def restructure(draw, path):
 
 TIMES_S = np.arange(250) / 25.0
 POINTS_PX = np.column_stack([100.0 + 10.0 * TIMES_S, 130.0 + 5.0 * np.sin(TIMES_S)])
-TRUTH = {
-    "times_s": TIMES_S.tolist(),
-    "drone_position_W_m": np.column_stack([POINTS_PX, TIMES_S]).tolist(),
-    "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * len(TIMES_S),
-    "cameras": {
-        name: {"T_C_W": np.eye(4).tolist(), "drone_px": POINTS_PX.tolist()}
-        for name in ("cam1", "cam2")
-    },
-    "R": np.eye(3).tolist(),
-    "t": [1.0, 0.0, 0.0],
-    **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
-}
+SCENE = make_scene(0)
 FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
     f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)
 )
@@ -158,11 +148,14 @@ OTHERS = {
         lambda path: save_track(path, PointTrack(TIMES_S, POINTS_PX)),
         lambda path: len(load_track(path)),
     ),
-    "rig.yaml": (text(kalibr_with_pose(np.eye(3), np.ones(3))), load_rig),
+    "rig.yaml": (text(kalibr_with_pose(SCENE)), load_rig),
     "flight.csv": (text(FLIGHT), trajectory_from_csv),
     "grid.toml": (text((CONFIGS / "ablation_window.toml").read_text("utf-8")), load_config),
     "drone.obj": (lambda path: box().export(path), check_mesh),
-    "truth.json": (text(json.dumps(TRUTH)), lambda path: load_truth(path.parent)),
+    "truth.json": (
+        lambda path: write_truth(path, SCENE, 250),
+        lambda path: load_truth(path.parent),
+    ),
     "row.json": (text(text_of_row(ROW)), use_row),
     "means.npz": (lambda path: np.savez(path, **MEANS), use_means),
 }

@@ -76,28 +76,33 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
 
 
 def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
-    """Write a recording as `sim.storage` does, without an offset; camera 1's frame is the world."""
+    """Write a recording as `sim.storage` does, without an offset."""
     folder.mkdir(exist_ok=True)
     scene = make_scene(seed=0, duration_s=duration_s)
     for name, events in zip(("cam1", "cam2"), make_events(scene, 0, size_m=0.4), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
     (folder / "rig.yaml").write_text(KALIBR)
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
-    T_2_1, times_s = scene.rig.T_2_1, np.linspace(0.0, duration_s, 2001)
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene))
+    write_truth(folder / "truth.json", scene)
+    return scene
+
+
+def write_truth(path: Path, scene: Scene, n_times: int = 2001) -> None:
+    """Write the truth without an offset, in camera 1's frame, and without the drone's images."""
+    times_s = np.linspace(0.0, scene.duration_s, n_times)
     truth = {
         "R": scene.R.tolist(),
         "t": (scene.t / np.linalg.norm(scene.t)).tolist(),
         "cameras": {
             name: {"T_C_W": pose.tolist(), "drone_px": [[None, None]] * len(times_s)}
-            for name, pose in (("cam1", np.eye(4)), ("cam2", T_2_1))
+            for name, pose in (("cam1", np.eye(4)), ("cam2", scene.rig.T_2_1))
         },
         "times_s": times_s.tolist(),
         "drone_position_W_m": scene.path(times_s).tolist(),
         "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * len(times_s),
         **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
     }
-    (folder / "truth.json").write_text(json.dumps(truth))
-    return scene
+    path.write_text(json.dumps(truth))
 
 
 DURATION_S = 6.0
