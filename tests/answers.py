@@ -10,13 +10,11 @@ import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -136,21 +134,17 @@ def _chain(recorded: Recorded) -> Any:
     return Chain(cameras, rig, Config(**recorded.config))
 
 
-def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
-    """Synchronise all cameras at once; return each pair's estimate, without solving the network."""
+@cache
+def told_by_network(recorded: Recorded, method: str) -> Any:
+    """Call `ssac.sync` for all cameras at once."""
     from ssac import sync
 
-    paired = dict[Pair, Any]()
+    return sync([*recorded.files], recorded.rig, None, method, **recorded.config)
 
-    class NotSolvedError(Exception): ...
 
-    def found(chain: Any, pairs: dict[Pair, Any], *more: Any) -> None:
-        paired.update(pairs)
-        raise NotSolvedError
-
-    with patch("ssac.pipeline.many.solve_pairs", found), suppress(NotSolvedError):
-        sync([*recorded.files], recorded.rig, None, method, **recorded.config)
-    return {pair: answer.estimate for pair, answer in paired.items()}
+def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
+    pairs = told_by_network(recorded, method).pairs
+    return {pair: answer.estimate for pair, answer in pairs.items()}
 
 
 def _of_study(recorded: Recorded, method: str) -> Any:

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_limits
 
-import ssac
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS
@@ -92,7 +91,7 @@ def test_one_answer(name, tmp_path, found):
         if len(recorded.files) > 2:  # command line and Python of all cameras together
             out, asked = tmp_path / "three.json", ("--method", method) if method else ()
             args = (*recorded.files, "--rig", recorded.rig, "--json", out, *asked)
-            result = ssac.sync([*recorded.files], recorded.rig, method=method)
+            result = answers.told_by_network(recorded, method)
             ended = run("sync", *args, code=int(result.status != "ok"))
             assert ended.stdout.split() == result.summary().split()  # as lines are folded
             assert list(differences(untimed(read_json(out)), untimed(result.to_dict()))) == []
