@@ -118,6 +118,5 @@ def reference_levels(events, thresholds_on, thresholds_off, shape):
 
 def counts(events, shape):
     """Count the events of each pixel, row by row."""
-    return np.bincount(
-        events["y"].astype(int) * shape[1] + events["x"], minlength=shape[0] * shape[1]
-    )
+    pixels = np.ravel_multi_index((events["y"], events["x"]), shape)
+    return np.bincount(pixels, minlength=np.prod(shape))
