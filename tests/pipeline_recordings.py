@@ -71,11 +71,11 @@ def _events(scene: Scene = SCENE, t_d_s: float = T_D_S, size_m: float = SIZE_M) 
     return list(make_events(scene, 0, t_d_s, RATE_HZ, size_m))
 
 
-def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
-    """Return the scene with another path [m], relative to the point that both cameras look at."""
-    times_s = np.linspace(-1.0, scene.duration_s + 1.0, 200)
+def _along(path: Callable[[Array], list[Array]]) -> Scene:
+    """Return SCENE with another path [m], relative to the point that both cameras look at."""
+    times_s = np.linspace(-1.0, DURATION_S + 1.0, 200)
     x, y, z = np.broadcast_arrays(*path(times_s))
-    return replace(scene, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))
+    return replace(SCENE, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))
 
 
 def _crowd(*seeds: int, duration_s: float = DURATION_S) -> list[Any]:

@@ -9,7 +9,6 @@ import yaml
 
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.text import save_events_text
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 from tests.ssac.tracks import rig_document
 
@@ -26,7 +25,7 @@ def kalibr_with_pose(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A folder with cam1.h5, cam2.h5 (events and frames), cam2.txt and two rigs."""
+    """A folder with cam1.h5, cam2.h5 (events and frames) and two rigs."""
 
     folder: Path
     scene: Scene
@@ -47,7 +46,6 @@ def record(folder: Path) -> Recorded:
     for name, events, offset_s in zip(("cam1", "cam2"), streams, (0.0, T_D_S), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
         add_frames(folder / f"{name}.h5", offset_s)
-    save_events_text(folder / "cam2.txt", streams[1], WIDTH, HEIGHT)
     (folder / "rig.yaml").write_text(KALIBR)
     (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene))
     return Recorded(folder, scene)

@@ -56,24 +56,23 @@ ROOT_ID, USER_ID = 0, 1000
 )  # fmt: skip
 def test_what_is_lacking_is_installed_or_named(tmp_path, gl, offered, user, broken, installs, says):
     """OSMesa is preferred, a working EGL suffices; `installs` is None where `make setup` fails."""
-    folder = tmp_path
-    tools = folder / "tools"
+    tools = tmp_path / "tools"
     tools.mkdir()
-    (folder / "gl").write_text(gl)
-    (folder / "offered").write_text("\n".join(offered))
-    (folder / "installed").touch()
+    (tmp_path / "gl").write_text(gl)
+    (tmp_path / "offered").write_text("\n".join(offered))
+    (tmp_path / "installed").touch()
     said = {"python3": PYTHON, "apt-get": APT, "id": f"echo {user}", "sudo": "exit 1"}
     for name, lines in said.items():
         (tools / name).write_text(f"#!/bin/sh\n{lines}\n")
         (tools / name).chmod(0o755)
     for name in ("Makefile", "requirements.txt", "pyproject.toml"):
-        shutil.copy(ROOT / name, folder)
+        shutil.copy(ROOT / name, tmp_path)
     path = f"{tools}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
-        ["make", "setup", "PYTHON="], cwd=folder, capture_output=True, text=True, check=False,
-        env={"PATH": path, "MACHINE": str(folder), "BROKEN": broken},
+        ["make", "setup", "PYTHON="], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={"PATH": path, "MACHINE": str(tmp_path), "BROKEN": broken},
     )  # fmt: skip
     assert (done.returncode == 0) == (installs is not None)
-    assert (folder / "installed").read_text().split() == (installs or [])
+    assert (tmp_path / "installed").read_text().split() == (installs or [])
     assert says in done.stderr
     assert ("EGL" in done.stderr) == ("EGL" in says)

@@ -160,7 +160,6 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
     tmp_path, monkeypatch, error, step, out
 ):
     (tmp_path / "empty").mkdir()
-
     monkeypatch.setattr(f"sim.storage.{step}", Mock(side_effect=error))
     expected = SimError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):

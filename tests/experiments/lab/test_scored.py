@@ -40,9 +40,9 @@ def fresh(pair):
     return of_same(pair)
 
 
-def cell_of(method, t_d_s):
+def cell_of(t_d_s):
     config = Config(interval_s=(t_d_s - 1.0, t_d_s + 1.0))
-    return Cell(SimConfig(), 0, 0, t_d_s, config, method, {"sim.t_d_s": t_d_s})
+    return Cell(SimConfig(), 0, 0, t_d_s, config, "mine", {"sim.t_d_s": t_d_s})
 
 
 def with_method(monkeypatch, estimate, **fields):
@@ -61,7 +61,7 @@ def test_offsets_share_a_run_of_a_method_that_follows_the_clock(follows, runs, f
         return Estimate("mine", t_d_s=float(starts_s[-1]))
 
     with_method(monkeypatch, mine, follows_clock=follows)
-    offsets_ms = [scored_row(cell_of("mine", t_d_s), fresh).t_d_estimate_ms for t_d_s in OFFSETS_S]
+    offsets_ms = [scored_row(cell_of(t_d_s), fresh).t_d_estimate_ms for t_d_s in OFFSETS_S]
     assert len(starts_s) == runs
     assert np.diff(offsets_ms) == pytest.approx([450.0])
 
@@ -75,7 +75,7 @@ def test_a_skewed_clock_is_right_in_the_middle_of_a_files_flight(fresh, monkeypa
         return Estimate("mine", t_d_s=0.05, skew_ppm=1000.0, t_ref_s=3.0)
 
     with_method(monkeypatch, mine)
-    cell = cell_of("mine", 0.05)
+    cell = cell_of(0.05)
     sim = replace(cell.sim, trajectory_file=tmp_path / "flight.csv", skew_ppm=1000.0)
     row = scored_row(replace(cell, sim=sim), fresh)
     assert row.t_d_error_ms == pytest.approx(0.0, abs=1e-9)
@@ -86,7 +86,7 @@ def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):
         return Estimate("mine", "search_bound", f"from {config.interval_s[0]:.3f} s on")
 
     with_method(monkeypatch, mine, follows_clock=True)
-    row = scored_row(cell_of("mine", 0.5), fresh)
+    row = scored_row(cell_of(0.5), fresh)
     assert row.status == "search_bound"
     assert row.reason.startswith("from -0.500 s on")
 
@@ -96,7 +96,7 @@ def test_an_unusable_recording_is_so_at_all_offsets(fresh, monkeypatch):
         raise SsacError("too dark")
 
     with_method(monkeypatch, mine, follows_clock=True)
-    rows = [scored_row(cell_of("mine", t_d_s), fresh) for t_d_s in OFFSETS_S]
+    rows = [scored_row(cell_of(t_d_s), fresh) for t_d_s in OFFSETS_S]
     assert {(row.status, row.reason) for row in rows} == {("unusable", "too dark")}
 
 
@@ -110,10 +110,10 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
         return replace(estimate, **{field: wrong[field]}) if late else estimate
 
     with_method(monkeypatch, mine, follows_clock=True)
-    assert scored_row(cell_of("mine", 0.5), fresh).status == "ok"
+    assert scored_row(cell_of(0.5), fresh).status == "ok"
     monkeypatch.setattr(scored, "GUARDED", 1)
     with pytest.raises(ArithmeticError, match=f"differs in {field}"):
-        scored_row(cell_of("mine", 0.5), of_same(pair))
+        scored_row(cell_of(0.5), of_same(pair))
 
 
 HOW = Cleaning(denoise=True, n_neighbours=None)

@@ -292,4 +292,4 @@ def test_changed_verdicts_are_counted():
 
 def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score():
     assert set(ERRORS) <= set(RUN_COLUMNS)
-    assert set(ERRORS) == set(Score.__annotations__) - {"pose"}
+    assert set(ERRORS) == set(Score.__annotations__)

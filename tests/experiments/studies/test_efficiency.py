@@ -58,8 +58,8 @@ class Flight:
         return efficiency.cramer_rao_bound(self.information())
 
 
-def fly(scene: Scene, n: int = 400) -> Flight:
-    times_s = scene.duration_s * (np.arange(n) + 0.5) / n
+def fly(scene: Scene) -> Flight:
+    times_s = scene.duration_s * (np.arange(400) + 0.5) / 400
     p1, p2 = track_pair(scene, times_s)
     before, after = (track_pair(scene, times_s + step) for step in (-STEP_S, STEP_S))
     v1, v2 = ((b - a) / (2.0 * STEP_S) for a, b in zip(before, after, strict=True))

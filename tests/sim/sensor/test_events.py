@@ -54,9 +54,9 @@ def feed(sensor, times_s, video):
     sensor.feed(times_s, zeros, zeros, video)
 
 
-def stepping(before, after, at_s, until_s, shape=(1, 1)):
-    """A video of light that changes once, within a nanosecond, and its times."""
-    times_s = np.array([0.0, at_s, at_s + 1e-9, until_s])
+def stepping(before, after, until_s, shape=(1, 1)):
+    """A video of light that changes at 1 s, within a nanosecond, and its times."""
+    times_s = np.array([0.0, 1.0, 1.0 + 1e-9, until_s])
     levels = np.array([before, before, after, after], np.float32)
     return np.broadcast_to(levels[:, None, None], (4, *shape)), times_s
 
@@ -382,7 +382,7 @@ def test_a_step_is_followed_with_the_time_constant_of_its_light(lux, light, expe
     effects = SensorEffects(
         illuminance_lux=lux, cutoff_hz_per_lux=30.0, cutoff_min_hz=5.0, cutoff_max_hz=3000.0
     )
-    video, times_s = stepping(light / 2, light, 1.0, 3.0)
+    video, times_s = stepping(light / 2, light, 3.0)
     events = events_of(video, times_s, FINE, effects)
     reached = (light / 2 + EPS) * np.exp(0.02 * np.arange(1, len(events) + 1)) - EPS
     left = (light - reached) / (light / 2)
@@ -398,7 +398,7 @@ def test_latency_and_jitter_depend_on_the_light(lux):
     effects = SensorEffects(
         illuminance_lux=lux, latency_s=100e-6, latency_lux_s=1e-3, jitter_s=10e-6, jitter_lux_s=1e-4
     )
-    video, times_s = stepping(0.2, 0.3, 1.0, 2.0, SHAPE)
+    video, times_s = stepping(0.2, 0.3, 2.0, SHAPE)
     events = events_of(video, times_s, effects=effects)
     assert len(events) == 3000
     seen_lux = lux * (0.2 + EPS) * np.exp(0.25)  # light at the threshold
