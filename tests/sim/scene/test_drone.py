@@ -70,12 +70,10 @@ def test_quadrotor_is_its_own_mirror_image(mirror):
 def test_two_tone_is_what_it_was():
     # Recorded figures of the mesh: a change of the mesh would change results under other names.
     part = two_tone(1.0).parts[0]
-    triangles = part.vertices_B_m[part.faces]
-    sides = triangles[:, 1:] - triangles[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    shine = part.albedo * area
-    figures = [area.sum(), shine.sum(), *(shine @ triangles.mean(axis=1))]
-    figures += [*(area @ triangles.var(axis=1)), as_mesh(part).volume]
+    mesh = as_mesh(part)
+    shine = part.albedo * mesh.area_faces
+    figures = [mesh.area, shine.sum(), *(shine @ mesh.triangles_center)]
+    figures += [*(mesh.area_faces @ mesh.triangles.var(axis=1)), mesh.volume]
     np.testing.assert_allclose(figures, TWO_TONE, rtol=1e-6, atol=1e-12)  # printed digits
 
 
@@ -119,8 +117,7 @@ def test_open_mesh_shows_both_sides(tmp_path):
     box.update_faces(np.arange(12) > 1)
     (part,) = from_file(box, tmp_path / "open.stl").parts
     assert len(part.faces) == len(part.albedo) == 20
-    triangles = part.vertices_B_m[part.faces]
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = as_mesh(part).face_normals
     np.testing.assert_allclose(normals[:10], -normals[10:], atol=1e-12)  # round-off
 
 
@@ -152,7 +149,7 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path):
     green.visual = trimesh.visual.TextureVisuals(material=material)
     green.apply_translation((3.0, 0.0, 0.0))
     (part,) = from_file(trimesh.Scene([red, green]), tmp_path / "two.glb").parts
-    behind = part.vertices_B_m[part.faces].mean(axis=1)[:, 0] < 0
+    behind = as_mesh(part).triangles_center[:, 0] < 0
     np.testing.assert_allclose(part.albedo, np.where(behind, 0.2126, 0.7152))
 
 
@@ -187,8 +184,8 @@ def test_size_is_the_largest_horizontal_extent_and_scales_all(name):
 
 @pytest.mark.parametrize("drone", [bird(2.0), plane(2.0)])
 def test_bird_and_plane_are_not_symmetric(drone):
-    corners = [part.vertices_B_m[part.faces].mean(axis=1) for part in drone.parts]
-    centres, albedo = np.concatenate(corners), np.concatenate([p.albedo for p in drone.parts])
+    centres = np.concatenate([as_mesh(part).triangles_center for part in drone.parts])
+    albedo = np.concatenate([part.albedo for part in drone.parts])
     assert ((albedo > 0) & (albedo <= 1)).all()
     assert len(np.unique(albedo)) >= 5
     wings = np.abs(centres[:, 1]) > 0.26 * drone.size_m  # beyond the plane's pod
