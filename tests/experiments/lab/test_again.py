@@ -1,14 +1,13 @@
 """Recordings drawn at random, whose repeated runs are compared with the committed ones."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 from experiments import commands
-from experiments.cli import app
 from experiments.lab import schedule
 from experiments.lab.again import (
     ROUNDING,
@@ -24,6 +23,7 @@ from experiments.lab.study import Runs
 from experiments.studies import all_studies
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
+from tests.experiments.command import run
 from tests.experiments.lab.squares import SQUARES, change_a_status, double_a_number, write_squares
 
 
@@ -187,12 +187,6 @@ def test_a_run_that_is_gone_or_crashes_again_is_found():
     assert "KeyError" in fault
 
 
-def verify(results, *options):
-    arguments = ["verify", "--results", str(results), "--workers", "1", *options]
-    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    return result.exit_code, result.output
-
-
 def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkeypatch):
     seen = []
 
@@ -204,17 +198,14 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkey
     monkeypatch.setattr(commands, "PUBLISHED_SHA256", {})
     monkeypatch.setattr(commands, "recomputed", made_again)
     (results.parent / "README.md").write_text("<!--n:squares.sum-->29<!--/n-->")
-    code, output = verify(results, "--recordings", "3")
-    assert code == 0, output
+    verify = partial(run, "verify", "--results", results, "--workers", 1)
+    output = verify("--recordings", 3)
     assert output.endswith("all of it as committed\n")
     seed = output.partition("--sample-seed ")[2].split()[0]
-    verify(results, "--recordings", "3", "--sample-seed", seed)
+    verify("--recordings", 3, "--sample-seed", seed)
     assert seen[0] == seen[1]
-    _, output = verify(results, "--recordings", "300", "--only", "squares")
-    assert "--recordings 300 --only squares\n" in output
+    assert "--recordings 300 --only squares\n" in verify("--recordings", 300, "--only", "squares")
     assert [name for name, _ in seen.pop()] == ["squares"]
     (results / "squares.csv").unlink()
-    code, output = verify(results, "--recordings", "0")
-    assert code == 1
-    assert "        - squares.csv\n" in output
+    assert "        - squares.csv\n" in verify("--recordings", 0, exit_code=1)
     assert len(seen) == 2

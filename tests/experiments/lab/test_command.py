@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from experiments.lab import schedule, study
 from experiments.lab.cache import Cache
@@ -24,6 +23,7 @@ from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.cli.options import number
 from ssac.errors import SsacError
+from tests.experiments.command import run
 from tests.experiments.lab.squares import SQUARES, SquareRow, load_nothing, process_row
 
 
@@ -92,9 +92,7 @@ def files_of(parts, tmp_path: Path, monkeypatch, *words: str) -> Path:
     app = typer.Typer()
     app.command()(command_of(parts, "Squares."))
     out = tmp_path / "out"
-    line = [*words, "--out", str(out), "--cache", str(tmp_path / "cache")]
-    result = CliRunner().invoke(app, line, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    run(*words, "--out", out, "--cache", tmp_path / "cache", app=app)
     return out
 
 
