@@ -17,28 +17,18 @@ from experiments.lab.cache import Cache
 from experiments.lab.recorded import observations, rig_of
 from experiments.lab.score import score
 from experiments.studies.by_hand import drawn, load_tried
-from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig, SamplingConfig
-from sim.render.lattice import Lattice
+from sim.recording import simulate
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS, SensorConfig
-from sim.sensor.frames import FrameConfig
 from ssac import joint, joint_known, ssac, ssac_known, sync, tangency
 from ssac.config import Config
 from ssac.pipeline.api import usable_events
 from ssac.track.observation import Observation
-from tests.sim.scenes import LENSES
+from tests.sim.scenes import COARSE, LENSES
 
 T_D_S, R_DEG, T_DEG = 1.2e-3, 1.6, 1.0
 
-SHORT = SimConfig(
-    t_d_s=0.05,
-    spline=SplineConfig(duration_s=10.0),
-    sampling=SamplingConfig(max_step_px=1.0),
-    render=RenderConfig(lattice=Lattice(4, 1), check=False),
-    frames=FrameConfig(rate_hz=0.0),
-    sensor=PRESETS["davis346"],
-)
+SHORT = replace(COARSE, t_d_s=0.05, spline=SplineConfig(10.0), sensor=PRESETS["davis346"])
 CLEAN = Config(denoise=False)  # the events are denoised already
 
 simulated = cache(partial(simulate, seed=1))

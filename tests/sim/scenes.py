@@ -12,6 +12,7 @@ from sim.render.lattice import Lattice
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
+from sim.sensor.frames import FrameConfig
 
 LENSES = {
     "none": (),
@@ -26,6 +27,13 @@ QUICK = SimConfig(
     sampling=SamplingConfig(max_step_px=1.0),
     render=RenderConfig(Lattice(3, 1)),
     background_luminance=0.5,
+)
+
+# For flights of several seconds, without frames.
+COARSE = SimConfig(
+    sampling=SamplingConfig(max_step_px=1.0),
+    render=RenderConfig(Lattice(4, 1), check=False),
+    frames=FrameConfig(rate_hz=0.0),
 )
 
 

@@ -13,12 +13,10 @@ from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
 from sim.errors import SimError
 from sim.recorded import Truth
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig, SamplingConfig
-from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.frames import FrameConfig
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
+from tests.sim.scenes import COARSE
 
 TRUTH = Truth(
     t_d_s=0.05,
@@ -56,17 +54,9 @@ def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_pa
     assert [path.name for path in folder.iterdir()] == ["truth.json"]
 
 
-FLOWN = SimConfig(
-    spline=SplineConfig(duration_s=6.0),
-    sampling=SamplingConfig(max_step_px=1.0),
-    render=RenderConfig(lattice=Lattice(4, 1)),
-    frames=FrameConfig(rate_hz=0.0),
-)
-
-
-@pytest.mark.render
 def test_figures_are_those_of_the_truth():
-    recording = simulate(FLOWN, 0)
+    config = replace(COARSE, spline=SplineConfig(6.0))
+    recording = simulate(config, 0)
     figures = scene_figures(recording)
     # The true speed is that of the drone's origin. The mean of its events moves alike, but N_min
     # drops windows, those of slow motion.
@@ -77,7 +67,7 @@ def test_figures_are_those_of_the_truth():
     assert figures.slope_px > 0.0
     assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
     # The figures do not depend on the time offset.
-    assert scene_figures(simulate(replace(FLOWN, t_d_s=0.25), 0)) == figures
+    assert scene_figures(simulate(replace(config, t_d_s=0.25), 0)) == figures
     # 5 events a camera make no valid sample.
     few = tuple(
         replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras
