@@ -1,6 +1,7 @@
 """Rows that share denoised events or estimates are the same as the rows of full runs."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -71,10 +72,8 @@ def test_a_skewed_clock_is_right_in_the_middle_of_a_files_flight(fresh, monkeypa
     table[:, 0], table[:, 1], table[:, 7] = np.linspace(0, 6, 31), np.linspace(-1, 1, 31), 1.0
     np.savetxt(tmp_path / "flight.csv", table, delimiter=",")
 
-    def mine(cam1, cam2, rig, config=None):
-        return Estimate("mine", t_d_s=0.05, skew_ppm=1000.0, t_ref_s=3.0)
-
-    with_method(monkeypatch, mine)
+    found = Estimate("mine", t_d_s=0.05, skew_ppm=1000.0, t_ref_s=3.0)
+    with_method(monkeypatch, lambda *_: found)
     cell = cell_of(0.05)
     sim = replace(cell.sim, trajectory_file=tmp_path / "flight.csv", skew_ppm=1000.0)
     row = scored_row(replace(cell, sim=sim), fresh)
@@ -92,10 +91,7 @@ def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):
 
 
 def test_an_unusable_recording_is_so_at_all_offsets(fresh, monkeypatch):
-    def mine(cam1, cam2, rig, config=None):
-        raise SsacError("too dark")
-
-    with_method(monkeypatch, mine, follows_clock=True)
+    with_method(monkeypatch, Mock(side_effect=SsacError("too dark")), follows_clock=True)
     rows = [scored_row(cell_of(t_d_s), fresh) for t_d_s in OFFSETS_S]
     assert {(row.status, row.reason) for row in rows} == {("unusable", "too dark")}
 

@@ -4,6 +4,7 @@ import inspect
 import json
 from dataclasses import asdict, replace
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -101,9 +102,7 @@ def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
 
 
 def test_the_folder_appears_with_all_that_it_holds(tmp_path, monkeypatch):
-    def full(path, _):
-        raise SsacError(f"{path}: no space left")
-
+    full = Mock(side_effect=SsacError("no space left"))
     monkeypatch.setattr("experiments.scenes.simulate.write_path", full)
     with pytest.raises(SsacError, match="no space left"):
         simulate(tmp_path / "out", *FAST, "--duration", 1)

@@ -15,7 +15,7 @@ from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
-from tests.sim.scenes import QUICK, rng, smooth_video
+from tests.sim.scenes import QUICK, rng, smooth_video, whole_images
 
 SHORT = replace(QUICK, spline=SplineConfig(0.4), frames=FrameConfig(25.0))
 
@@ -45,10 +45,7 @@ def test_crops_are_blurred_as_the_whole_image_is():
     blurred = blurred_image(wall, 0.8)
     crops = Crops(np.zeros(1), np.array([14]), np.array([11]), image[None, 11:22, 14:33].copy())
     result = blurred_crops(crops, 0.8, wall, blurred)
-    whole = blurred.copy()
-    x0, y0 = result.x0_px[0], result.y0_px[0]
-    height, width = result.luminance.shape[1:]
-    whole[y0 : y0 + height, x0 : x0 + width] = result.luminance[0]
+    (whole,) = whole_images([result], result.times_s, blurred)
     np.testing.assert_allclose(whole, blurred_image(image, 0.8), atol=2e-6)  # single precision
 
 
