@@ -26,11 +26,11 @@ from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
-from ssac.points import PointTrack
 from tests.experiments.reported import write_truth
 from tests.recorded import kalibr_with_pose
 from tests.ssac.files.test_event_files import BAGS, FORMS, random_events
 from tests.ssac.synthetic import make_scene
+from tests.ssac.tracks import frame_track
 
 MAX_SILENT = 0.005
 """Largest share of damages that may lose events unseen, as a changed bit can make another event."""
@@ -113,9 +113,7 @@ def restructure(draw, path):
             file[name] = value
 
 
-TIMES_S = np.arange(250) / 25.0
-POINTS_PX = np.column_stack([100.0 + 10.0 * TIMES_S, 130.0 + 5.0 * np.sin(TIMES_S)])
-SCENE = make_scene(0)
+SCENE = make_scene(0, duration_s=10.0)
 FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
     f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)
 )
@@ -145,7 +143,7 @@ def use_means(path):
 # How each file is written and used; the use returns the number of points, or anything else.
 OTHERS = {
     "track.csv": (
-        lambda path: save_track(path, PointTrack(TIMES_S, POINTS_PX)),
+        lambda path: save_track(path, frame_track(SCENE, 1, 25.0)),
         lambda path: len(load_track(path)),
     ),
     "rig.yaml": (text(kalibr_with_pose(SCENE)), load_rig),
