@@ -26,11 +26,6 @@ class Reader(HTMLParser):
         self.ids += [str(names["id"])] if "id" in names else []
         self.addresses += [str(v) for k, v in attrs if k in ("src", "href", "srcset", "action")]
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
 
