@@ -116,7 +116,7 @@ def joint_estimate(error_s: float = 0.0, **values: object) -> Estimate:
         "t_d_s": 0.05 + error_s, "t_d_std_s": 1e-3, "R": SCENE.R, "t": T,
         "covariance": np.diag([1e-6] + 5 * [1e-4]),
     } | values  # fmt: skip
-    return Estimate("joint", **fields)  # type: ignore[arg-type]
+    return Estimate("joint", **fields)
 
 
 @cache

@@ -37,7 +37,6 @@ def test_recordings_are_as_their_kind_says(kind: str) -> None:
         sim = one.sim
         assert one.kind == kind
         assert draw.duration_s[0] <= sim.spline.duration_s <= draw.duration_s[1]
-        assert sim.drone_size_m is not None
         size_px = sim.drone_size_m * sim.focal_px / sim.distance_m
         assert size_px == pytest.approx(one.size_px, rel=0.01)  # it is rounded to a millimetre
         assert sim.spline.max_radius_m + 0.5 * sim.drone_size_m < sim.distance_m

@@ -113,6 +113,4 @@ def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate(
     ids=["near", "far", "told", "untold", "empty", "crashed", "jump", "no jump", "refused"],
 )
 def test_a_run_does_as_required(kind: str, row: RequiredRow, is_met: bool) -> None:
-    requirement = requirements.KINDS[kind].requirement
-    assert requirement is not None
-    assert requirements.meets(vars(row), requirement) == is_met
+    assert requirements.meets(vars(row), requirements.KINDS[kind].requirement) == is_met

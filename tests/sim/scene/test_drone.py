@@ -44,7 +44,7 @@ def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(bui
     assert len(still.parts[0].faces) == n_faces
     assert 250 <= n_faces <= 550  # rendered 10,000 times a second
     assert ((still.parts[0].albedo > 0) & (still.parts[0].albedo <= 1)).all()
-    joints = [part.joint for part in spinning.parts[1:] if part.joint]
+    joints = [part.joint for part in spinning.parts[1:]]
     turns = {tuple(np.sign(joint.origin_B_m[:2])): joint.rate_hz for joint in joints}
     rate_hz = turns[1, 1]
     assert turns == {(1, 1): rate_hz, (-1, -1): rate_hz, (1, -1): -rate_hz, (-1, 1): -rate_hz}
@@ -198,7 +198,7 @@ def test_bird_and_plane_are_not_symmetric(drone):
 def test_both_wings_rise_and_fall_together():
     drone = bird(1.0, flap_hz=5.0)
     assert [part.joint is None for part in drone.parts] == [True, False, False]
-    shoulders = [part.joint.origin_B_m for part in drone.parts[1:] if part.joint]
+    shoulders = [part.joint.origin_B_m for part in drone.parts[1:]]
     np.testing.assert_array_equal(shoulders[0] * [1, -1, 1], shoulders[1])
     for time_s, angle_rad in ((0.0, 0.0), (0.05, FLAP_RAD), (0.15, -FLAP_RAD)):
         left, right = (at(part, time_s) for part in drone.parts[1:])
