@@ -179,7 +179,7 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
     study, path = all_studies()[name], damaged / file
     is_of_runs = study.runs is not None and file == study.runs.file
     followed = [
-        one if is_of_runs else replace(one, make=once(one.make))
+        replace(one, make=once(one.make)) if one.follows and not is_of_runs else one
         for one in study.makes
         if one.file == file or (is_of_runs and ".csv" in one.file)
     ]
