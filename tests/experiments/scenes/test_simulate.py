@@ -108,7 +108,7 @@ def test_the_folder_appears_with_all_that_it_holds(tmp_path, monkeypatch):
     assert [*tmp_path.iterdir()] == []
 
 
-OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
+OTHERS = {"distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
           "trajectory": "flight.csv", "background": ("sky.png",), "distortion": (0.1, 0, 0, 0),
           "clock_jump": (1.0, 0.1), "drone_size": 0.5, "check": False, "resolution": (64, 48),
           "intrinsics_error": (1.0, 1.0)}  # fmt: skip
