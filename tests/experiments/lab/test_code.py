@@ -218,12 +218,8 @@ def test_all_code_that_a_run_calls_is_in_its_key(tmp_path, monkeypatch):
     finally:
         sys.setprofile(None)
     assert {row["status"] for row in done.rows} <= {"ok", "skipped", "ambiguous_pose"}, done.rows
-    ours = {
-        name
-        for file, line in called
-        if any(file.startswith(f"{ROOT / package}/") for package in ("sim", "ssac", "experiments"))
-        for name in [defined_at(Path(file), line)]
-    }
+    packages = tuple(f"{ROOT / name}/" for name in ("sim", "ssac", "experiments"))
+    ours = {defined_at(Path(file), line) for file, line in called if file.startswith(packages)}
     assert {"ssac.methods.tangency", "ssac.track.denoise"} <= ours
     assert "experiments.lab.score:pose_score" in ours
     # The code that names, runs and stores the entries does not affect their content.
