@@ -382,11 +382,12 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
 def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:
     """Enlarge a camera's deviations if it is in all pairs that contradict their rig.
 
-    If no camera is in all of these, any of theirs may be wrong.
+    If no camera is in all of these, any of theirs may be wrong. A wrong one contradicts half of its
+    pairs or more: one of many, as of cameras that face each other, contradicts the rig by chance.
     """
     rigs = {pair: answer.less_certain for pair, answer in pairs.items() if answer.less_certain}
-    anywhere = set[int]().union(*rigs)
-    if k not in (anywhere.intersection(*rigs) or anywhere):
+    anywhere, own = set[int]().union(*rigs), [pair in rigs for pair in pairs if k in pair]
+    if k not in (anywhere.intersection(*rigs) or anywhere) or 2 * sum(own) < len(own):
         return camera
     stds_px = [
         (rig.cam1, rig.cam2)[pair.index(k)].intrinsics_std_px

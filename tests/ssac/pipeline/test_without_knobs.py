@@ -181,6 +181,8 @@ def test_a_network_doubts_the_camera_that_all_contradicted_pairs_share(pairs, do
     cameras = [as_doubted(k, CAMERA, answers) for k in range(4)]
     assert [k for k, camera in enumerate(cameras) if camera != CAMERA] == doubted
     assert all(cameras[k].intrinsics_std_px == (6.0, 6.0, 10.0, 10.0) for k in doubted)
+    answers |= {(a, b): SimpleNamespace(less_certain=None) for a in range(4) for b in range(4, 8)}
+    assert all(as_doubted(k, CAMERA, answers) is CAMERA for k in range(4))  # few of their pairs
 
 
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
