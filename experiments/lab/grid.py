@@ -16,7 +16,7 @@ from typing import Any, get_args, get_type_hints
 
 from experiments.lab.cell import FlightCell
 from sim.errors import SimError
-from sim.recording import SimConfig
+from sim.recording import SimConfig, two_view_rig_of
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.files.damage import brief
@@ -99,6 +99,7 @@ class GridConfig:
                 low, high = self.search_around_truth_s
                 estimator = replace(estimator, interval_s=(sim.t_d_s + low, sim.t_d_s + high))
             checked(estimator)
+            two_view_rig_of(sim)  # which checks the cameras
             duration_s = sim.spline.duration_s
             if not 0.0 < duration_s <= MAX_DURATION_S:
                 raise SsacError(

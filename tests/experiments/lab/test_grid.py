@@ -11,6 +11,7 @@ import pytest
 from experiments.lab.cache import Cache, content
 from experiments.lab.grid import configs_of, flight_seed, grid_from_content, named_config
 from experiments.lab.schedule import Workers, run_cells
+from sim.errors import SimError
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -165,6 +166,8 @@ def test_parameters_are_checked_together_whatever_their_order(values):
         ({"fixed": {"ssac": {"n_min": 2.5}}}, "ssac.n_min: expected int, got 2.5"),
         ({"fixed": {"ssac": {"n_min": True}}}, "ssac.n_min: expected int, got True"),
         ({"fixed": {"sim": {"resolution": [3]}}}, r"sim.resolution: expected tuple\[int, int\]"),
+        ({"fixed": {"sim": {"resolution": [0, 0]}}}, "resolution must be positive, got .* 0 x 0"),
+        ({"grid": {"sim": {"angle_deg": [30, 500]}}}, "angle .* 180"),
         ({"fixed": {"sim": {"angle_deg": 30}}}, "sim.angle_deg is given more than once"),
         ({"fixed": {"ssac": {"interval_s": [0, 1]}}}, "either search_around_truth_s or ssac.int"),
         ({"fixed": {"ssac": {"half_window_s": -1.0}}}, "must be positive and finite, got -1.0"),
@@ -188,7 +191,7 @@ def test_parameters_are_checked_together_whatever_their_order(values):
     ],
 )
 def test_what_makes_no_sense_is_an_error_that_says_so(change, message):
-    with pytest.raises(SsacError, match=message):
+    with pytest.raises((SimError, SsacError), match=message):
         grid_from_content("small", SMALL | change)
 
 
