@@ -102,7 +102,7 @@ def compare(
     If either has no times, they are compared as shapes only. Scale, shift and rate are as of
     `ssac.network.align.best_shift`; the lever arm is the position of the truth's antenna in the
     body (forward, left, up), and needs the truth's attitude. SsacError if that is missing, or if
-    the paths have too few points, share too little time or do not move enough.
+    the paths have too few points, stand still, share too little time or do not move enough.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
         if len(path) < 3:
@@ -110,6 +110,8 @@ def compare(
                 f"the {name} has {len(path)} points, and at least 3 tell how it is "
                 "turned: give more of it"
             )
+        if not np.ptp(path.positions_m, axis=0).any():
+            raise SsacError(f"the {name} stands still: give a path that moves")
     if lever_arm_m is not None:
         truth = without_lever_arm(truth, lever_arm_m)
     in_time, start, points = None, None, estimate.positions_m

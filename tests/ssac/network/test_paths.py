@@ -315,7 +315,8 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
     ("args", "reason"),
     [
         (("path.tum", "none.csv"), "no such file"),
-        (("path.tum", "rest.csv"), "no shift at which"),
+        (("path.tum", "rest.csv"), "the truth stands still"),
+        (("rest.csv", "truth.csv"), "the estimate stands still"),
         (("path.tum", "point.csv"), "the truth has 1 points, and at least 3"),
         (("point.csv", "truth.csv"), "the estimate has 1 points, and at least 3"),
         (("path.tum", "truth.csv", "--json", "a.png", "--plot", "a.png"), "for two outputs"),
