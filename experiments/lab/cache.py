@@ -144,8 +144,13 @@ class Cache:
             remove_lapsed(folder)
 
     def size_bytes(self) -> int:
-        """Return the size of all entries."""
-        return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
+        """Return the size of all entries, but for those that another run moves meanwhile."""
+        total = 0
+        for folder, _, names in os.walk(self.folder):
+            for name in names:
+                with suppress(OSError):
+                    total += Path(folder, name).stat().st_size
+        return total
 
     def _is_kept(self, folder: Path) -> bool:
         """Whether a recording is there and whole; a damaged one is moved aside."""
@@ -230,7 +235,7 @@ def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> 
 def content(value: Any) -> Any:
     """Turn a configuration into JSON types; the path of a file becomes the digest of the file."""
     if isinstance(value, Path):
-        return sha256(value) if value.exists() else str(value)
+        return sha256(value) if value.is_file() else str(value)
     if is_dataclass(value) and not isinstance(value, type):
         return {one.name: content(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, (list, tuple)):

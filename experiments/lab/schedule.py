@@ -127,7 +127,7 @@ def run_cells(
             for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
                 found[index] = done.rows
                 for key, row in zip(keys[index], done.rows, strict=True):
-                    if row["status"] != CRASHED:
+                    if row["status"] not in (CRASHED, UNUSABLE):  # it may have failed to read
                         cache.save_run(key, row)  # a worker elsewhere has a folder of its own
                 n_simulated += done.n_simulated
                 peak_mb = max(peak_mb, done.peak_mb)
@@ -206,12 +206,14 @@ class _Work:
         """Say that a worker died; None if its task is to be tried again."""
         self.deaths[index] += 1
         is_last = self.deaths[index] == MAX_DEATHS
+        first = self.tasks[index][0]
         flights = " and ".join(
             f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
-            for sim, seed in self.tasks[index][0].recordings
+            for sim, seed in first.recordings
         )
+        where = f"the flight of {flights}" if flights else name_of(first)
         what = "given up" if is_last else "run again by a new one"
-        say(f"a worker {error} on the flight of {flights}, which is {what}")
+        say(f"a worker {error} on {where}, which is {what}")
         if not is_last:
             return None
         return DiedError(f"{MAX_DEATHS} workers died of it, the last one {error}")
@@ -237,9 +239,13 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
     with threadpool_limits(1):  # one core per worker; sums in one order everywhere
         n_before = len(cache.simulated)
         rows = _rows(task, cache, measure)
+    return Done(rows, len(cache.simulated) - n_before, peak_memory_mb())
+
+
+def peak_memory_mb() -> float:
+    """Return the peak resident memory of this process [MB]."""
     unit = 1 if sys.platform == "darwin" else 1024
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-    return Done(rows, len(cache.simulated) - n_before, peak_mb)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
@@ -268,6 +274,8 @@ def measured(cell: PlainCell, measure: Measure, load: Callable[[], Any]) -> dict
     """Measure a cell on what `load` returns; an error becomes a row too."""
     try:
         return plain(measure.row(cell, load()))
+    except WriteError:  # of a recording for which there is no room
+        raise
     except Exception as error:  # any: the row says so
         return refusal(measure, error, name_of(cell))
 
@@ -295,9 +303,11 @@ def name_of(cell: PlainCell) -> str:
 
 def _frame(cells: Sequence[PlainCell], rows: Rows, measure: Measure) -> pd.DataFrame:
     pairs = zip(cells, rows, strict=True)
+    if not cells:
+        return pd.DataFrame(columns=[one.name for one in fields(measure.row_type)])
     frame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
     unknown = [one.name for one in fields(measure.row_type) if one.default != one.default]  # NaN
-    return frame.astype(dict.fromkeys(unknown, float)) if len(frame) else frame
+    return frame.astype(dict.fromkeys(unknown, float))
 
 
 def run_alone(cells: Sequence[PlainCell], measure: Measure, label: str) -> Outcome:

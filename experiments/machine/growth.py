@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
-from experiments.machine.parts import peak_memory_mb
+from experiments.lab.schedule import peak_memory_mb
 from sim.recording import SimConfig
 from sim.storage import record
 from ssac.estimate import Status

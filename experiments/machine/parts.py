@@ -1,6 +1,5 @@
 """Parts of the benchmark, each run in a process of its own so that its peak memory is its own."""
 
-import resource
 import shutil
 import tempfile
 import time
@@ -15,7 +14,7 @@ import numpy as np
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 from experiments.lab.grid import Cell, GridConfig, named_config
-from experiments.lab.schedule import Outcome, Workers, run_cells
+from experiments.lab.schedule import Outcome, Workers, peak_memory_mb, run_cells
 from experiments.paper.esim import TABLES, table_cells
 from experiments.scenes.simulate import record_with_progress
 from sim.recording import SimConfig
@@ -79,11 +78,6 @@ def part_row(cell: PartCell, _: object) -> PartRow:
 
 
 PART = Measure(load_nothing, part_row, PartRow)
-
-
-def peak_memory_mb() -> float:
-    """Return the peak resident memory of this process [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def best_seconds(work: Callable[[], Result]) -> tuple[float, Result]:

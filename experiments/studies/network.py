@@ -26,11 +26,11 @@ from experiments.lab.command import command_of
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
+from experiments.lab.schedule import peak_memory_mb
 from experiments.lab.score import mahalanobis
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, by_group, digits, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows, one_of
-from experiments.machine.parts import peak_memory_mb
 from experiments.scenes.simulate import ManyCameras
 from experiments.studies.imperfect import HELD, held
 from experiments.studies.outdoor import PlacedRow, placed_errors, true_track

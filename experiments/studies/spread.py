@@ -47,7 +47,8 @@ class SpreadCell(PlainCell):
     @property
     def inputs(self) -> tuple[Any, ...]:
         """What the row depends on beside the code."""
-        return *self.digests, *self.columns.values(), METHODS[self.method].version
+        kinds = [path.suffix for path in self.files]  # which choose the reader
+        return *self.digests, *kinds, *self.columns.values(), METHODS[self.method].version
 
 
 @dataclass(frozen=True)

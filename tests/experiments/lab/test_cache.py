@@ -1,5 +1,6 @@
 """The cache: what an entry depends on; entries are made once and whole, and damage is found."""
 
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -50,6 +51,13 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
     assert content(SimConfig(drone_file=one)) == content(SimConfig(drone_file=two))
     two.write_text("b")
     assert content(SimConfig(drone_file=one)) != content(SimConfig(drone_file=two))
+    assert content(tmp_path) == str(tmp_path)  # a folder: who reads it says what is wrong
+
+
+def test_the_size_of_a_cache_leaves_out_what_another_run_moves(tmp_path, monkeypatch):
+    (tmp_path / "kept").write_bytes(b"123")
+    monkeypatch.setattr(os, "walk", lambda folder: [(str(folder), [], ["kept", "moved"])])
+    assert Cache(tmp_path).size_bytes() == 3
 
 
 def test_a_mesh_counts_by_what_the_files_hold_that_it_names(tmp_path):
