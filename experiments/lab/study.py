@@ -9,7 +9,7 @@ of their file, with its rounded numbers, so that anyone who has the file makes t
 import json
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from inspect import Parameter, signature
 from pathlib import Path
@@ -166,12 +166,18 @@ def run_study(
     options: Options | None = None,
 ) -> Outcome:
     """Measure the cells of a study or shard that are not in the cache; column CELL comes first."""
-    of_shard = numbered(study.cells(**(options or {})), shard)
+    every = study.cells(**(options or {}))
+    if not every:
+        raise SsacError(f"{study.name}: there are no runs with these options: choose others")
+    of_shard = numbered(every, shard)
     cells = [cell for _, cell in of_shard]
     if study.how is How.ALONE:
         outcome = run_alone(cells, study.measure, study.name)
     else:
         outcome = run_cells(cells, cache, workers, study.name, measure=study.measure)
+    if not cells:  # more shards than tasks: a file of column names, which can be merged
+        columns = [*every[0].columns, *outcome.runs]
+        return replace(outcome, runs=outcome.runs.reindex(columns=[CELL, *columns]))
     outcome.runs.insert(0, CELL, [number for number, _ in of_shard])
     return outcome
 
@@ -362,7 +368,7 @@ def merge(
         text = [line.partition(",")[2] for line in text]
     save_text(out, "\n".join(text) + "\n")
     content = {"command": MERGED, "config": wholes[0], "shards": provenances}
-    return save_made(study, out.parent, cache, content)
+    return save_made(study, out.parent, cache, content, options=wholes[0].get("options"))
 
 
 def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:

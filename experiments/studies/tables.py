@@ -66,7 +66,7 @@ def comparison(results: Results) -> pd.DataFrame:
 def page(results: Results) -> str:
     """Write `results/README.md`."""
     runs = runs_of(results)
-    (made_with,) = results.provenances("runs")
+    made_with, *_ = results.provenances("runs")  # several: of shards
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 

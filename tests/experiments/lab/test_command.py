@@ -16,7 +16,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.command import command_of, finish, on_screen
 from experiments.lab.schedule import Outcome
-from experiments.lab.study import How, Runs
+from experiments.lab.study import How, Made, Runs, merge
 from experiments.scenes.options import changed
 from experiments.studies import tables
 from sim.render.config import RENDERERS
@@ -108,6 +108,19 @@ def test_parameters_of_the_cells_are_options_and_stand_in_the_provenance(tmp_pat
     assert content["config"]["options"] == {"last": 4, "even": False}
     with pytest.raises(SsacError, match="--last: expected 2 to 99, got 100"):
         files_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, "--last", "100")
+
+
+def test_merged_shards_are_drawn_of_the_flights_of_their_options(tmp_path, monkeypatch):
+    filmed = []
+    made = Made("squares.md", lambda results: "", lambda **given: filmed.append(given) or ())
+    optional = replace(OPTIONAL, makes=(made,))
+    parts = []
+    for index in (1, 2):
+        folder, words = tmp_path / f"{index}", ("--last", "4", "--shard", f"{index}/2")
+        out = files_of({"all": (optional,)}, folder, monkeypatch, *words, "--workers", "1")
+        parts.append(out / "squares_runs.csv")
+    merge(parts, tmp_path / "squares_runs.csv", lambda config: optional, Cache(tmp_path))
+    assert filmed == [{"last": 4}]
 
 
 def test_parts_of_a_command_are_its_studies(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.lab.results import Results, csv_text
+from experiments.lab.results import MERGED, Results, csv_text
 from experiments.report import report
 from experiments.studies import tables
 from experiments.studies.ablations import ABLATIONS
@@ -41,7 +41,12 @@ def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     shutil.copyfile(folder / "esim_20.provenance.json", tmp_path / "runs.provenance.json")
     results = Results(tmp_path)
-    readme = re.findall(r"^\| (?!--)(.*) \|$", tables.page(results), re.MULTILINE)
+    of_whole = tables.page(results)
+    one = json.loads((tmp_path / "runs.provenance.json").read_text())
+    merged = json.dumps({"command": MERGED, "config": {}, "shards": [one, one]})
+    (tmp_path / "runs.provenance.json").write_text(merged)
+    assert tables.page(Results(tmp_path)) == of_whole
+    readme = re.findall(r"^\| (?!--)(.*) \|$", of_whole, re.MULTILINE)
     plain = [re.sub(r"`|\*\*", "", line) for line in readme]
     expected = {tuple(re.sub(r"(?<!\\)\|", " ", line).split()) for line in plain}
     rows = [re.sub("</t[hd]>", " ", row) for row in re.findall(r"<tr>.*?</tr>", page)]
