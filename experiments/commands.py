@@ -63,7 +63,11 @@ def study_command(
     first = known.get(names[0])
     if first is not None and first.how is How.GIVEN:
         return [first], _given(first, names[1:])
-    return chosen(names, known, "study"), {}
+    studies = chosen(names, known, "study")
+    for study in studies:
+        if study.how is How.GIVEN:
+            raise SsacError(f"{study.name}: is of your own data: run it by itself")
+    return studies, {}
 
 
 @running
@@ -208,9 +212,9 @@ def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
     if len(words) != len(needed):
         expected = " ".join(name.upper() for name in needed)
         raise SsacError(f"{study.name}: expected {expected} behind it, got {' '.join(words)!r}")
-    absent = [word for word in words if not Path(word).exists()]
+    absent = [word for word in words if not Path(word).is_file()]
     if absent:
-        raise SsacError(f"{absent[0]}: no such file")
+        raise SsacError(f"{absent[0]}: no such file (folders and topics of bags are not taken)")
     return dict(zip(needed, map(Path, words), strict=True))
 
 

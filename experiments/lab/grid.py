@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from experiments.lab.cell import FlightCell
+from experiments.lab.results import DIGITS
 from sim.errors import SimError
 from sim.recording import SimConfig, two_view_rig_of
 from ssac.config import Config, checked
@@ -309,9 +310,19 @@ def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
 
 def _check_once(name: str, values: Sequence[Any]) -> None:
     """Raise SsacError for a value given twice: its runs would count as independent ones."""
-    twice = [one for place, one in enumerate(values) if one in values[:place]]
+    written = [_written(one) for one in values]
+    twice = [one for place, one in enumerate(values) if written[place] in written[:place]]
     if twice:
-        raise SsacError(f"{name}: {twice[0]!r} is given more than once")
+        raise SsacError(
+            f"{name}: {twice[0]!r} is given more than once, to the {DIGITS} digits of a table"
+        )
+
+
+def _written(value: Any) -> Any:
+    """Return a value as a table tells it from others: numbers have `DIGITS` digits."""
+    if isinstance(value, (list, tuple)):
+        return [_written(one) for one in value]
+    return f"{value:.{DIGITS}g}" if type(value) in (int, float) else value
 
 
 def _interval(value: Any) -> tuple[float, float] | None:

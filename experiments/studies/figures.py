@@ -113,11 +113,13 @@ def figures_command(
         typer.echo(f"written to {out / made.file}")
     written = [out / made.file for made in chosen.values()]
     filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
-    if filmed:  # studies write the provenance of the others
+    beside = out / f"figures{PROVENANCE}"
+    # Studies write the provenance of the others; that of all of these outlives one drawn anew.
+    if filmed and (len(filmed) == len(_OF_RECORDINGS) or not beside.exists()):
         line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
         content = provenance(line, config(filmed), took_s, context_or_none())
         write_provenance(out / "figures.png", content)
-        written.append(out / f"figures{PROVENANCE}")
+        written.append(beside)
     record_checksums(out, written)
 
 

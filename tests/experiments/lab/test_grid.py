@@ -156,6 +156,10 @@ def test_parameters_are_checked_together_whatever_their_order(values):
             {"grid": {"sim": {"angle_deg": [30, 90, 30.0]}}},
             r"sim.angle_deg: \[30.0\] is given more",
         ),
+        (
+            {"grid": {"sim": {"t_d_s": [1000.001, 1000.004]}}},
+            r"sim.t_d_s: \[1000.004\] is given more than once, to the 6 digits of a table",
+        ),
         ({"title": 3}, "title must be a text, got 3"),
         ({"together": 3}, "together must be a table of tables, got 3"),
         ({"fixed": 3}, "fixed, grid and together must be tables"),

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from experiments.lab.results import csv_text, read_checksums
+from experiments.lab.study import Made
 from experiments.studies import figures
 from ssac.errors import SsacError
 from tests.experiments.reported import RESULTS, made_up_runs
@@ -26,6 +27,19 @@ def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
     path = RESULTS / "alignment.png"
     assert b"acTL" in path.read_bytes()[:1000]  # an animated PNG's chunk
     assert path.stat().st_size < 2e6
+
+
+def test_a_figure_that_is_drawn_anew_leaves_the_provenance_of_all(tmp_path, monkeypatch) -> None:
+    every = {name: Made(f"{name}.png", lambda _: b"", lambda: ()) for name in ("one", "two")}
+    monkeypatch.setattr(figures, "_OF_RECORDINGS", tuple(every.values()))
+    monkeypatch.setattr(
+        figures, "choose", lambda names: {one: every[one] for one in names or every}
+    )
+    written = []
+    for names in (None, ["one"]):
+        figures.figures_command(names, tmp_path, out=tmp_path)
+        written.append((tmp_path / "figures.provenance.json").read_text())
+    assert written[0] == written[1]
 
 
 def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, capsys) -> None:

@@ -7,6 +7,7 @@ import pytest
 from experiments.studies import spread
 from experiments.studies.spread import HALF_WINDOWS_S, N_MINS, SHOWN, spread_figure, spread_table
 from ssac.config import N_MIN, Config
+from ssac.errors import SsacError
 from tests.experiments.command import run
 from tests.experiments.reported import record_flight
 
@@ -52,6 +53,15 @@ def test_a_method_that_never_answers_is_a_row_and_a_figure():
     assert len(spread_figure(runs).axes) == 2
     assert Config().half_window_s in HALF_WINDOWS_S
     assert N_MIN in N_MINS
+
+
+def test_it_is_run_by_itself_and_on_files():
+    for words, said in (
+        (("efficiency", "spread"), "spread: is of your own data: run it by itself"),
+        (("spread", ".", ".", "."), r"\.: no such file"),
+    ):
+        with pytest.raises(SsacError, match=said):
+            run("study", *words)
 
 
 def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
