@@ -103,8 +103,11 @@ def confidence(normalised: Array, parameters: int) -> Array:
 
 
 @cache
-def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
-    """Return Clopper and Pearson's bounds of a share that is observed as `n_inside` of `n_runs`."""
+def sampling_bounds(n_inside: float, n_runs: float) -> tuple[float, float]:
+    """Return Clopper and Pearson's bounds of a share that is observed as `n_inside` of `n_runs`.
+
+    Runs that are not independent count less than they are: `n_runs` is then an effective number.
+    """
     n_outside, tail = n_runs - n_inside, 0.5 * (1.0 - SAMPLING)
     low = betaincinv(n_inside, n_outside + 1, tail) if n_inside else 0.0
     high = betaincinv(n_inside + 1, n_outside, 1.0 - tail) if n_outside else 1.0

@@ -26,7 +26,7 @@ from experiments.studies.coverage import QUANTITIES, Quantity, sampling_bounds
 from experiments.worlds import spoilt
 from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell
 from sim.disturb import DisturbConfig
-from ssac.arrays import Mask
+from ssac.arrays import IntArray, Mask
 from ssac.camera import known_pose
 from ssac.estimate import Estimate
 from ssac.pipeline.registry import METHODS
@@ -207,8 +207,9 @@ def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[s
 
 def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
-    rows = results.rows("imperfect", kind=ALL)
-    shown = {name: [_share(row, name) for row in records(rows)] for name in HELD}
+    rows, runs = results.rows("imperfect", kind=ALL), results.table("imperfect_runs")
+    by_method = [runs[runs["method"] == method] for method in rows["method"]]
+    shown = {name: [_share(some, one) for some in by_method] for name, one in HELD.items()}
     columns = {
         "method": "`{method}`",
         "answered": "{answered} of {runs}",
@@ -218,12 +219,28 @@ def page_table(results: Results) -> str:
     return shown_table(rows.assign(**shown), columns)
 
 
-def _share(row: Mapping[str, Any], name: str) -> str:
-    share, n_given = row[f"{name}_held"], row[f"{name}_given"]
-    if not np.isfinite(share):
+def _share(runs: pd.DataFrame, quantity: Quantity) -> str:
+    levels = quantity.levels(runs)
+    given = np.isfinite(levels)
+    if not given.any():
         return ""
-    low, high = sampling_bounds(round(share * n_given), int(n_given))
+    share, n = share_by_flight(levels[given] <= LEVEL, runs["seed"].to_numpy()[given])
+    low, high = sampling_bounds(share * n, n)
     return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def share_by_flight(held: Mask, flights: IntArray) -> tuple[float, float]:
+    """Return the share that held (n,), and how many independent runs tell as much of it.
+
+    Runs on one flight err alike. Their number is divided by the design effect: the variance of the
+    share between flights over that of independent runs (Korn and Graubard, Survey Methodology 24,
+    1998, with 1 as the least).
+    """
+    share, n = float(np.mean(held)), len(held)
+    off = pd.Series(held - share).groupby(flights).sum().to_numpy()
+    alone = n * share * (1.0 - share)
+    effect = len(off) / (len(off) - 1.0) * float(off @ off) / alone if alone else 1.0
+    return share, n / max(1.0, effect)
 
 
 def kinds(results: Results, column: str) -> str:

@@ -97,6 +97,18 @@ def test_a_kind_is_run_and_told_how_far_its_rig_moves_the_estimate(
     assert np.isfinite(no_skew.ends_normalised)
 
 
+def test_runs_on_one_flight_count_as_the_independent_ones_that_tell_as_much() -> None:
+    flights = np.repeat(np.arange(60), 10)
+    alike = np.arange(60) % 10 > 0  # flights that hold in all of their runs
+    share, n = imperfect.share_by_flight(np.repeat(alike, 10), flights)
+    # As many as there are flights, but for the one that their mean takes.
+    assert (share, n) == (0.9, pytest.approx(59.0))
+    rng = np.random.default_rng(0)
+    _, n = imperfect.share_by_flight(rng.random(600) < 0.9, flights)
+    assert n > 400.0  # of 600: a design effect of 60 flights has a deviation of .18
+    assert imperfect.share_by_flight(np.ones(30, bool), flights[:30]) == (1.0, 30.0)
+
+
 @pytest.mark.parametrize(
     ("kind", "row", "is_met"),
     [
