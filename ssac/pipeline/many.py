@@ -235,7 +235,7 @@ def solve_pairs(
             middle_s = 0.5 * sum(answer.paired.common_s(estimate.t_d_s))
             estimate = replace(estimate, t_ref_s=middle_s)
         link = link_of(estimate, answer.guess, of_events)
-        if link is not None:
+        if link is not None and all(len(seen[k]) > 1 for k in pair):
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)
     prior_ppm = chain.config.resolved(has_frames).prior_ppm
@@ -364,7 +364,10 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Sightings:
     """Return a camera's sightings of the object; none where its events show no object."""
-    clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
+    own = ((pair.index(k), answer) for pair, answer in pairs.items() if k in pair)
+    # A refused pair may not have its object: of a faint one there is no track, but noise.
+    place, answer = max(own, key=lambda one: one[1].estimate.has_offset)
+    clean = answer.cleans[place]
     rules, camera = chain.config.rules.points, as_doubted(k, clean.camera, pairs)
     try:
         if clean.track is not None:
@@ -376,7 +379,8 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
             shaped = shaped_track_of_events(clean, events, chain.config)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
-    return sightings(shaped, camera, name, clean.has_track, rules)
+    has_frames = clean.has_track and not clean.n_followed
+    return sightings(shaped, camera, name, has_frames, rules)
 
 
 def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:

@@ -12,7 +12,8 @@ from ssac import Answer, Config, PointTrack, load_rig
 from ssac.camera import Rig, with_deviations
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import tangency
-from ssac.pipeline.many import as_doubted, write_many, write_two
+from ssac.pipeline.api import chain_of
+from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
@@ -165,6 +166,17 @@ def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right(tmp_p
         assert np.all(np.abs(camera.t - t / flight.distance_m) < 4.0 * camera.t_std)
 
 
+def test_a_camera_without_sightings_of_its_own_is_left_out_of_the_network():
+    seen = [PointTrack(one.times_s, one.points_px) for one in make_flight(3).seen]
+    chain = chain_of(seen, [OF_FLIGHTS] * 3)
+    pairs = {pair: chain.answer(None, *pair) for pair in ((0, 1), (0, 2))}
+    one, other = pairs[0, 2].cleans
+    none = replace(other, track=PointTrack(np.empty(0), np.empty((0, 2))))
+    pairs[0, 2] = replace(pairs[0, 2], cleans=(one, none))
+    found = solve_pairs(chain, pairs)
+    assert [camera.status for camera in found.cameras] == [Status.OK, Status.OK, Status.NO_MATCH]
+
+
 @pytest.mark.parametrize(
     ("pairs", "doubted"),
     [
@@ -307,6 +319,23 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     else:
         assert result.status == Status.NO_MOTION
         assert "0.25 Hz of each pixel hides it" in result.estimate.reason
+
+
+def test_faint_cameras_of_a_network_are_event_cameras_whichever_pair_is_refused():
+    """Bugs: they were taken for frame cameras, and lost with the first pair, whose noise was seen.
+
+    An event camera has no rolling shutter, and its skew the prior deviation of 50 ppm.
+    """
+    faint = make_events(make_scene(1, duration_s=12.0), 1, T_D_S, 150.0, 0.0)
+    seen = [
+        merged(one, noise(WIDTH, HEIGHT, 0.25, 12_000_000, seed))
+        for seed, one in enumerate((faint[0][:0], *faint))
+    ]
+    blind, first, other = ssac.sync(seen, [CAMERA] * 3).cameras
+    assert (blind.status, first.status, other.status) == (Status.NO_MATCH, Status.OK, Status.OK)
+    assert other.readout_std_s == 0.0
+    assert other.skew_std_ppm <= 50.0
+    assert abs(other.t_d_s - T_D_S) < 4.0 * other.t_d_std_s
 
 
 def other_ways(found, seen, asked=PLAIN, method="joint"):
