@@ -10,6 +10,7 @@ from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.damage import check_is_file, readable
 from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
+from ssac.geometry.epipolar import cross_matrix
 from ssac.network.align import Similarity, by_similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
@@ -137,25 +138,22 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
     """Express cameras and path of the first group in a known frame; other groups stay."""
     frame, cameras = ground.similarity, list[CameraAnswer]()
     for camera in answer.cameras:
-        R, t, t_std = camera.R, camera.t, camera.t_std
-        if camera.group == 1 and R is not None and t is not None and t_std is not None:
-            covariance = np.asarray(camera.centre_covariance)
-            covariance = frame.scale**2 * frame.R @ covariance @ frame.R.T
+        R, t, covariance = camera.R, camera.t, camera.pose_covariance
+        if camera.group == 1 and R is not None and t is not None and covariance is not None:
             R = R @ frame.R.T  # x_k = R X + t in metres, X in the known frame
-            t = frame.scale * t - R @ frame.t
-            turned = np.trace(ground.covariance[:3, :3])
-            # t is the place of the frame's origin, as the camera sees it.
-            by_frame = -R @ by_similarity(-ground.middle_m)
-            by_frame[:, 6] += t
-            added = np.diag(by_frame @ ground.covariance @ by_frame.T)
-            camera = replace(
-                camera,
-                R=R,
-                t=t,
-                r_std_deg=float(np.hypot(camera.r_std_deg, np.rad2deg(np.sqrt(turned)))),
-                t_std=np.sqrt((frame.scale * t_std) ** 2 + added),
-                centre_covariance=covariance + ground.added(np.asarray(-R.T @ t)),
-            )
+            moved_m = -R @ frame.t
+            t = frame.scale * t + moved_m
+            # t is the place of the frame's origin, as the camera sees it: a turn swings it round.
+            by_pose = np.zeros((6, 6))
+            by_pose[:3, :3], by_pose[3:, :3] = np.eye(3), -cross_matrix(moved_m)
+            by_pose[3:, 3:] = frame.scale * np.eye(3)
+            by_frame = np.zeros((6, 7))
+            by_frame[:3, :3] = -R
+            by_frame[3:] = -R @ by_similarity(-ground.middle_m)
+            by_frame[3:, 6] += t
+            covariance = by_pose @ covariance @ by_pose.T
+            covariance += by_frame @ ground.covariance @ by_frame.T
+            camera = replace(camera, R=R, t=t, pose_covariance=covariance)
         cameras.append(camera)
     held = path_of(answer.built[0], frame)
     added = np.diagonal(ground.added(held.path.positions_m), axis1=1, axis2=2)

@@ -42,15 +42,33 @@ class CameraAnswer:
     readout_std_s: float = np.nan
     R: Array | None = None  # (3, 3) x_k = R x_1 + t
     t: Array | None = None  # (3,)
-    r_std_deg: float = np.nan
-    t_std: Array | None = None  # (3,) in the unit of t
-    centre_covariance: Array | None = None  # (3, 3) of the projection centre
+    pose_covariance: Array | None = None  # (6, 6) of a small turn [rad] after R, and of t
     calibration: Camera | None = None  # found in place of the rig's, where pairs contradict it
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) first camera's clock
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     n_samples: int = 0
     n_seen: int = 0
     rms_px: float = np.nan
+
+    @property
+    def r_std_deg(self) -> float:
+        """Standard deviation of R [deg]: the root of the trace of its angles' covariance."""
+        if self.pose_covariance is None:
+            return np.nan
+        return float(np.rad2deg(np.sqrt(np.sum(np.diag(self.pose_covariance)[:3]))))
+
+    @property
+    def t_std(self) -> Array | None:
+        """Standard deviations of t (3,) in its unit."""
+        known = self.pose_covariance
+        return None if known is None else np.sqrt(np.diag(known)[3:])
+
+    @property
+    def centre_covariance(self) -> Array | None:
+        """Covariance (3, 3) of the projection centre."""
+        if self.R is None or self.t is None or self.pose_covariance is None:
+            return None
+        return centre_covariance(self.R, self.t, self.pose_covariance)
 
     @property
     def centre(self) -> Array | None:
@@ -98,9 +116,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         readout_std_s=float(deviations[layout.READOUT]),
         R=state.R,
         t=state.t,
-        r_std_deg=float(np.rad2deg(np.sqrt(np.sum(np.diag(covariance)[layout.ROTATION])))),
-        t_std=deviations[layout.TRANSLATION],
-        centre_covariance=centre_covariance(state.R, state.t, covariance[pose, pose]),
+        pose_covariance=covariance[pose, pose],
         calibration=_calibration(seen.camera, state, deviations),
         knots_s=state.network_from_own(state.knots_s),
         strays_s=state.strays_s,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ssac import Clock, SsacError
 from ssac.network.align import Similarity, best_shift, similarity
 from ssac.network.comparison import compare
-from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame
+from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import solve_network
 from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import NetworkResult, write_many
@@ -417,6 +417,21 @@ def test_deviations_hold_in_a_known_frame(solved, tmp_path):
     # Chance: 40 draws of about four independent errors leave 1 +- 0.06; Student's law, less.
     rms = np.sqrt(np.mean(np.square(found), axis=0))
     assert np.all((rms > 0.75) & (rms < 1.2))
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_where_a_camera_stands_at_the_origin_t_is_as_sure_as_its_centre(solved, k):
+    flight, answer = solved
+    R, scale, camera = TO_GROUND.R, flight.distance_m, answer.cameras[k]
+    exact = np.zeros((7, 7))
+    to_centre = Similarity(scale, R, -scale * R @ camera.centre)
+    found = in_frame(answer, Ground(to_centre, "", np.zeros(3), exact)).cameras[k]
+    assert found.t == pytest.approx(np.zeros(3), abs=1e-9)  # rounding of 20 m
+    turned = scale**2 * R @ camera.centre_covariance @ R.T
+    np.testing.assert_allclose(found.centre_covariance, turned, rtol=1e-6)  # rounding of squares
+    seen_m = np.sqrt(np.diag(found.R @ turned @ found.R.T))
+    np.testing.assert_allclose(found.t_std, seen_m, rtol=1e-6)
+    assert found.r_std_deg == pytest.approx(camera.r_std_deg)
 
 
 def scores(flight, answer) -> np.ndarray:

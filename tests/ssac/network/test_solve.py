@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from ssac import Estimate, PointTrack, Status
 from ssac.network.adjustment import border_offsets, known
+from ssac.network.align import Similarity
 from ssac.network.graph import factor_of, shared_by
+from ssac.network.ground import Ground, in_frame
 from ssac.network.solve import NetworkAnswer, answer_of, path_at, rounded_by
 from ssac.network.state import BEHIND
 from ssac.rules import BodyRules
@@ -135,18 +137,24 @@ def test_rounded_times_widen_each_offset_but_that_of_the_first_camera_as_they_do
 
 
 def test_deviations_hold_over_many_flights() -> None:
-    scores = []
+    scores, far_scores = [], []
+    to_far = Similarity(1.0, np.eye(3), np.array([300.0, -400.0, 100.0]))
+    far = Ground(to_far, "", np.zeros(3), np.zeros((7, 7)))  # an exact frame
     for seed in range(6):
         flight = make_flight(3, seed)
         found = flight.solved(flight.links(seed))
+        afar = in_frame(found, far).cameras
         for k in (1, 2):
             camera = found.cameras[k]
             off_s = camera.t_d_s - flight.shown_s(k, camera.t_ref_s)
             scores.append(off_s / camera.t_d_std_s)
             if k == 2:  # camera 2's distance is given
                 scores += list((camera.t - flight.poses[k][1]) / camera.t_std)
-    # 30 scores, about half of them independent: 1 +- 0.18.
-    assert 0.55 < np.sqrt(np.mean(np.square(scores))) < 1.5
+            R, t = flight.poses[k]  # at 500 m errors of R swing the origin round the camera
+            far_scores += list((afar[k].t - t + R @ to_far.t) / afar[k].t_std)
+    # 30 scores, about half of them independent: 1 +- 0.18; far off 36, of three angles each.
+    for each in (scores, far_scores):
+        assert 0.55 < np.sqrt(np.mean(np.square(each))) < 1.5
 
 
 CHANGES = {"gate": 1.0, "knot_intervals": 8.0, "behind_px": 0.3, "first_rounds": 1, "samples": 90}
