@@ -78,7 +78,7 @@ def write_outputs(
     known: Known,
     log: Log,
 ) -> None:
-    """Write the outputs asked for, figures and page last, and log each of them."""
+    """Write the outputs asked for, path and rig last, and log each of them."""
     clock = Stopwatch(log)
 
     def tell(line: str) -> None:
@@ -94,13 +94,6 @@ def write_outputs(
                 say(_write_synced(synced, result.estimate, cam2, reading))
         else:
             tell(f"not written: {synced}, since there is no reliable offset")
-    if trajectory is not None or rig is not None:
-        from ssac.pipeline.many import write_many, write_two
-
-        if isinstance(result, Result):
-            write_two(result.answer, known, trajectory, rig, tell)
-        else:
-            write_many(result, trajectory, rig, tell)
     if outputs.plot is not None:
         with clock.part("draw") as say:
             drawn = result.plotted(outputs.plot)
@@ -108,6 +101,13 @@ def write_outputs(
     if outputs.report is not None:
         with clock.part("report") as say:
             say(str(result.report(outputs.report, shlex.join(["ssac", *sys.argv[1:]]))))
+    if trajectory is not None or rig is not None:  # last, as RTK may contradict the path
+        from ssac.pipeline.many import write_many, write_two
+
+        if isinstance(result, Result):
+            write_two(result.answer, known, trajectory, rig, tell)
+        else:
+            write_many(result, trajectory, rig, tell)
 
 
 def _write_synced(file: Path, estimate: Estimate, cam2: Path, reading: Reading) -> str:

@@ -1,6 +1,8 @@
 """The frame and the scale of a network, as given by positions of cameras or an RTK path."""
 
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,13 +13,17 @@ from ssac.errors import SsacError
 from ssac.files.damage import check_is_file, readable
 from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
 from ssac.geometry.epipolar import cross_matrix
-from ssac.network.align import Similarity, by_similarity, similarity
+from ssac.network.align import RULES, Similarity, by_similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
 from ssac.rules import FitRules, GroundRules
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
+
+
+class PlacesError(SsacError):
+    """Places of cameras that leave their frame open: too few, or nearly on a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +42,10 @@ class Ground:
 
 
 def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
-    """Fit at least three cameras to their given positions; SsacError if these contradict poses."""
+    """Fit at least three cameras to their given positions; SsacError if these contradict poses.
+
+    PlacesError if the positions of those that are placed leave the frame open.
+    """
     stated = load_positions(file)
     placed = {k: one.centre for k, one in enumerate(answer.cameras, 1) if one.group == 1}
     here, there = (np.array([of[k] for k in stated if k in placed]) for of in (placed, stated))
@@ -73,7 +82,8 @@ def ground_of_rtk(
     """
     path, rtk = answer.paths[0].path, read_path(file)
     std_ppm = rules.rtk_rate_std_ppm
-    found = compare(path, rtk, rate_std_ppm=std_ppm, lever_arm_m=lever_arm_m).in_time
+    with _as_truth(file):
+        found = compare(path, rtk, rate_std_ppm=std_ppm, lever_arm_m=lever_arm_m).in_time
     if found is None or found.explained < rules.least_explained:
         share = 0.0 if found is None else found.explained
         raise SsacError(
@@ -111,16 +121,16 @@ def check_positions(file: Path, rules: GroundRules) -> None:
 
 
 def _check_places(file: Path, places: Array, rules: GroundRules) -> None:
-    """Raise SsacError unless cameras at places (n, 3) [m] tell how their frame is turned."""
+    """Raise PlacesError unless cameras at places (n, 3) [m] tell how their frame is turned."""
     if len(places) < 3:
-        raise SsacError(
+        raise PlacesError(
             f"{file}: positions of at least 3 cameras of the network are needed, got {len(places)}:"
             " add some, or give --distance"
         )
     spreads_m = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
     # Errors that pass for small turn the frame about a line at will.
     if spreads_m[1] <= rules.max_off_share * spreads_m[0]:
-        raise SsacError(
+        raise PlacesError(
             f"{file}: the cameras stand nearly on a line, {spreads_m[1]:.2g} m off it rms over "
             f"{spreads_m[0]:.2g} m, which leaves open how the frame is turned about it: add one "
             "that stands aside, or give --rtk or --distance"
@@ -128,10 +138,27 @@ def _check_places(file: Path, places: Array, rules: GroundRules) -> None:
 
 
 def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:
-    """Raise SsacError unless a file has a path in metres, times, and attitudes for a lever arm."""
+    """Raise SsacError unless a file has a path that moves, with attitudes for a lever arm."""
     rtk = read_path(file)
     if lever_arm_m is not None:
-        without_lever_arm(rtk, lever_arm_m)
+        with _as_truth(file):
+            without_lever_arm(rtk, lever_arm_m)
+    if len(rtk) < RULES.least_samples:
+        raise SsacError(
+            f"{file}: at least {RULES.least_samples} points tell its clock and frame, got "
+            f"{len(rtk)}: give more of the path"
+        )
+    if not np.ptp(rtk.positions_m, axis=0).any():
+        raise SsacError(f"{file}: the path stands still: give one that moves")
+
+
+@contextmanager
+def _as_truth(file: Path) -> Iterator[None]:
+    """Name the file in errors of a comparison with it."""
+    try:
+        yield
+    except SsacError as error:
+        raise SsacError(f"{file}, taken for the truth: {error}") from error
 
 
 def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:

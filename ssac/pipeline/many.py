@@ -18,7 +18,7 @@ from ssac.files.whole_file import FIGURE_SUFFIXES, numbered_file, write_whole
 from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
 from ssac.network.graph import Link, Pair
-from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
+from ssac.network.ground import Ground, PlacesError, ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import CameraAnswer, NetworkAnswer, link_of, rounded_by, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
@@ -209,7 +209,11 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             for k, (found, camera) in enumerate(zip(answer.cameras, chain.rig.cameras, strict=True))
         ]
         answer = replace(answer, cameras=cameras)
-        answer, ground = grounded(answer, known, chain.config.rules)
+        ground = None
+        try:
+            answer, ground = grounded(answer, known, chain.config.rules)
+        except PlacesError as error:
+            note = f"--positions is not used: {error}"
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or distance_m is not None
     names = tuple(chain.name(k) for k in range(len(chain)))

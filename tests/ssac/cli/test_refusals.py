@@ -62,6 +62,8 @@ def folder(recorded, tmp_path_factory) -> Path:
     for name, (text, _) in TEXTS.items():
         (tracks / f"{name}.csv").write_text(text.format(rows=rows))
     (tracks / "no_attitude.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    still = "".join(f"{t_s},1,2,3\n" for t_s in range(20))
+    (tracks / "still.csv").write_text(f"t_s,x_m,y_m,z_m\n{still}")
     (tracks / "wide-2.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
     (tracks / "cameras_twice.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n")
     poles = "camera,x_m,y_m,z_m\n1,0,0,5\n2,50,0.02,5\n3,100,0,5.01\n"
@@ -132,7 +134,9 @@ MANY = [
     ("third.csv --write-synced synced.csv", "--write-synced: is for two cameras"),
     ("third.csv --known-extrinsics", "--known-extrinsics: is for two cameras"),
     ("third.csv --estimate-readout", "--estimate-readout: is for two cameras"),
-    ("third.csv --lever-arm 0 0 1 --rtk no_attitude.csv", "no attitude"),
+    ("third.csv --lever-arm 0 0 1 --rtk no_attitude.csv", "no_attitude.csv, .* no attitude"),
+    ("third.csv --rtk no_attitude.csv", "no_attitude.csv: at least 20 points tell .*, got 1: give"),
+    ("third.csv --rtk still.csv", "still.csv: the path stands still: give one that moves"),
     ("third.csv --positions cameras_twice.csv", "camera 1 is there twice"),
     ("third.csv --positions row_of_poles.csv", "stand nearly on a line"),
     *(

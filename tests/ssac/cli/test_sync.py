@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from ssac import Clock, Config, Observation, PointTrack, Status, load_events, load_rig, sync
-from ssac.cli.exits import NO_ESTIMATE
+from ssac.cli.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.network.tum import Path, read_path, write_path
@@ -394,7 +394,7 @@ def save_another(path, start_s):
 @pytest.mark.parametrize("n_cameras", [2, 3])
 def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_path, n_cameras):
     rtk, *outputs = (tmp_path / name for name in ("rtk.csv", "path.tum", "found.yaml"))
-    rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
+    write_path(rtk, Path(np.arange(20.0), np.random.default_rng(0).normal(size=(20, 3))))
     strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
     options = ("--rtk", rtk, "--trajectory", outputs[0], "--write-rig", outputs[1])
     args = (files[0], *strangers, "--rig", files[-1], "--search", -1, 1)  # they are 1000 s apart
@@ -429,6 +429,33 @@ def test_two_cameras_write_a_path_and_a_third_that_fits_nowhere_is_not_averaged_
     assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
     assert "--distance is not used" in result.stdout
     assert found["scale_is_known"] is False
+
+
+def test_positions_of_too_few_cameras_that_are_placed_are_left_out_and_that_is_said(
+    flown, files, tmp_path
+):
+    late, stated = save_another(tmp_path / "late.csv", 1000.0), tmp_path / "positions.csv"
+    stated.write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,9,0,0\n3,0,9,0\n")
+    near = "--search", *(flown.clocks[1].t_d_s + np.array([-1.0, 1.0]))
+    args = (files[0], late, files[1], "--rig", files[-1], "--positions", stated)
+    result, found = answered(tmp_path, *args, *near, code=NO_ESTIMATE)
+    said = f"--positions is not used: {stated}: positions of at least 3 cameras of the network"
+    assert found["note"].startswith(said)
+    assert said in result.stdout
+    assert [camera["status"] for camera in found["cameras"]] == ["ok", "no_match", "ok"]
+    assert found["scale_is_known"] is False
+
+
+def test_what_rtk_contradicts_costs_two_cameras_no_output_but_path_and_rig(files, tmp_path):
+    names = "rtk.csv", "path.csv", "rig.yaml", "page.html"
+    rtk, out, rig, page = (tmp_path / name for name in names)
+    write_path(rtk, Path(0.1 * np.arange(150), np.random.default_rng(0).normal(size=(150, 3))))
+    outputs = ("--trajectory", out, "--write-rig", rig, "--report", page)
+    args = (*files[:2], "--rig", files[-1], "--rtk", rtk)
+    result, found = answered(tmp_path, *args, *outputs, code=BAD_INPUT)
+    assert re.search(f"error: {rtk}.*flight", result.stderr)
+    assert found["status"] == "ok"
+    assert [one.exists() for one in (out, rig, page)] == [False, False, True]
 
 
 def test_rtk_sets_the_scale_of_the_rig_as_of_the_path(flown, files, tmp_path):

@@ -509,8 +509,9 @@ def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
     strict = GroundRules(least_explained=1.1)
     for path_m, rules, message in (
         (other, GROUND, "flight"),
+        (np.zeros((20, 3)), GROUND, "rtk.csv, taken for the truth: the truth stands still"),
         (flight.path(TIMES_S), strict, "explains 100 % of its motion only"),
     ):
-        write_path(tmp_path / "rtk.csv", Path(TIMES_S, path_m))
+        write_path(tmp_path / "rtk.csv", Path(TIMES_S[: len(path_m)], path_m))
         with pytest.raises(SsacError, match=message):
             ground_of_rtk(answer, tmp_path / "rtk.csv", rules, FIT)
