@@ -17,13 +17,13 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
 from ssac.files.whole_file import write_whole
-from ssac.methods.method import Method
+from ssac.methods.method import OF_TRACKS, Method
 from ssac.methods.verdict import quantum_s
 from ssac.pipeline import opened as border
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput, kind_of
-from ssac.pipeline.registry import EstimateFunction, choose_method
+from ssac.pipeline.registry import OURS, EstimateFunction, choose_method
 from ssac.pipeline.report import html_of, report_json, report_rows, report_text
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
@@ -223,6 +223,13 @@ def sync(
     sources = border.opened(seen, models, numbers, reading)
     has_track = any(one.has_track for one in sources)
     chosen = choose_method(method, known_extrinsics, has_track)
+    if not of_two and (chosen.needs_extrinsics or chosen.finds_offset_alone):
+        does = "holds the rig's pose" if chosen.needs_extrinsics else "finds the offset alone"
+        usual = next((one.name for one in OURS if one.known_variant == chosen.name), OF_TRACKS)
+        raise SsacError(
+            f"{chosen.name}: {does}, and of more than two cameras poses are to be found: use"
+            f" another method, such as {usual}"
+        )
     if estimate_readout and not has_track:
         raise SsacError(
             "--estimate-readout: expected a track of a frame camera, got events only, which no "

@@ -134,6 +134,8 @@ MANY = [
     ("third.csv --write-synced synced.csv", "--write-synced: is for two cameras"),
     ("third.csv --known-extrinsics", "--known-extrinsics: is for two cameras"),
     ("third.csv --estimate-readout", "--estimate-readout: is for two cameras"),
+    ("third.csv --method joint-known", "joint-known: holds the rig's pose, .*, such as joint$"),
+    ("third.csv --method zncc_f", "zncc_f: finds the offset alone, .*, such as joint$"),
     ("third.csv --lever-arm 0 0 1 --rtk no_attitude.csv", "no_attitude.csv, .* no attitude"),
     ("third.csv --rtk no_attitude.csv", "no_attitude.csv: at least 20 points tell .*, got 1: give"),
     ("third.csv --rtk still.csv", "still.csv: the path stands still: give one that moves"),

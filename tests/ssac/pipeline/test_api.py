@@ -272,6 +272,19 @@ def test_a_wrong_option_is_one_clear_error(name):
         ssac.sync(ONE, OTHER, RIG, **{name: value})
 
 
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("tangency-known", "^tangency-known: holds the rig's pose, .*, such as tangency$"),
+        ("event_rate", "^event_rate: finds the offset alone, and of more than two cameras poses"),
+    ],
+)
+def test_a_method_for_two_cameras_is_refused_of_more(method, message):
+    rig = Cameras((CAMERA,) * 3, (SCENE.rig.T_2_1,) * 2)
+    with pytest.raises(SsacError, match=message):
+        ssac.sync([ONE, OTHER, Observation(ONE).delayed(0.02)], rig, method=method)
+
+
 def test_a_wrong_camera_or_chain_is_one_clear_error_on_every_path():
     rig, seen = Rig(replace(CAMERA, width=None), CAMERA), (Observation(ONE), Observation(OTHER))
     for call in (ssac.joint, ssac.two_views, ssac.usable_events):
