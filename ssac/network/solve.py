@@ -200,7 +200,7 @@ class NetworkAnswer:
         said = []
         if len(self.built) > 1:
             names = [" ".join(seen.name for seen in one.network.cameras) for one in self.built]
-            said.append(f"no pair connects {' with '.join(names)}: a solution for each")
+            said.append(f"no pair that fits connects {' with '.join(names)}: a solution for each")
         said += [f"{c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
         return "; ".join(said)
 
@@ -255,7 +255,9 @@ def solve_network(
     answers = [
         CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
     ]
-    for members in groups(len(listed), links):
+    waiting = groups(len(listed), links)
+    while waiting:
+        members = waiting.pop(0)
         if len(members) < 2:
             continue
         group, built = Group(listed, links, members, rules.network), None
@@ -265,9 +267,12 @@ def solve_network(
         except np.linalg.LinAlgError:
             reason = _OPEN
         for k in members:
-            answers[k] = replace(answers[k], reason=reason)
+            if answers[k].reason == _LONELY:  # not of cameras that others left
+                answers[k] = replace(answers[k], reason=reason)
         if built is not None:
             built_all.append(built)
+            left = set(members) - set(built.members)  # by a wrong pair one with these
+            waiting += groups(len(listed), {of: links[of] for of in links if left.issuperset(of)})
             for place, k in enumerate(built.members):
                 answers[k] = answer_of(built, place, len(built_all))
     return NetworkAnswer(

@@ -102,7 +102,12 @@ def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solution
     found = flight.solved(links)
     assert [camera.group for camera in found.cameras] == [1, 1, 2, 2]
     assert len(found.paths) == 2
-    assert "no pair connects cam1 cam2 with cam3 cam4" in found.reason
+    assert "no pair that fits connects cam1 cam2 with cam3 cam4" in found.reason
+    tied = flight.solved(links | {(1, 2): flight.link(1, 2, 3.0)})  # by a wrong pair
+    for mine, alone in zip(tied.cameras, found.cameras, strict=True):
+        assert (mine.group, mine.t_d_s) == (alone.group, alone.t_d_s)
+    wrong = {(1, 2): flight.link(1, 2, 3.0), (2, 3): replace(links[2, 3], R=None, t=None)}
+    assert "fits nowhere in the network" in flight.solved(links | wrong).cameras[3].reason
     del links[2, 3]
     found = flight.solved(links)
     assert found.left_out == ["cam3", "cam4"]
