@@ -263,7 +263,8 @@ def solve_network(
         group, built = Group(listed, links, members, rules.network), None
         try:
             built = build(group, priors, distance, rules.body)
-            reason = _NO_PATH if built is None else _MISFIT
+            no_path = _NO_PATH.format(rules.network.least_angle_deg)
+            reason = no_path if built is None else _MISFIT
         except np.linalg.LinAlgError:
             reason = _OPEN
         for k in members:
@@ -288,7 +289,10 @@ _LONELY = (
     "no pair with another camera gave a reliable offset: see the pairs, and check that it saw the "
     "same flight"
 )
-_NO_PATH = "no pair of its group gave a pose that puts the object in front of both cameras"
+_NO_PATH = (
+    "no pair of the group gave a pose that puts the object in front of both cameras, on rays at "
+    "least {:g} deg apart"
+)
 _OPEN = (
     "the object's path leaves clocks or poses of its group open, as one on a line or at rest does: "
     "record a flight with curves in it"

@@ -353,7 +353,8 @@ def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -
         held = f"{len(found.path)} samples in {_unit(has_scale)}, which hold from {spans}"
         log(f"wrote {other}: {held}")
     if not answer.paths:
-        log(f"not written: {file}, since no cameras see the object's path together")
+        reasons = dict.fromkeys(camera.reason for camera in answer.cameras)
+        log(f"not written: {file}, since {'; '.join(reasons)}")
 
 
 def short_names(names: Sequence[str]) -> list[str]:

@@ -490,6 +490,17 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
     assert heads == ["t_s,x_m,y_", "t_s,x,y,z,"]
 
 
+def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_path(tmp_path):
+    network = replace(RULES.network, least_angle_deg=80.0)  # rays are 60 and 120 deg apart
+    answer = make_flight(3).solved(rules=replace(RULES, network=network))
+    reasons, log = {camera.reason for camera in answer.cameras}, list[str]()
+    assert [one.rpartition(", on rays ")[2] for one in reasons] == ["at least 80 deg apart"]
+    names = tuple(camera.name for camera in answer.cameras)
+    result = NetworkResult(names, "", answer, {}, False, None, {})
+    write_many(result, tmp_path / "path.csv", None, log.append)
+    assert log == [f"not written: {tmp_path / 'path.csv'}, since {reasons.pop()}"]
+
+
 def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
     flight, answer = solved
     centres, exact = centres_m(flight), GroundRules(max_off_share=1e-9)
