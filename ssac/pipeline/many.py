@@ -442,7 +442,7 @@ def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     placed = f"at {stands}{unit}, {turned}; {used}"
     if not camera.t_d_std_s > 0.0:
-        in_own_frame = not camera.t.any()
+        in_own_frame = np.allclose(camera.t, 0.0) and camera.r_std_deg == 0.0  # rounding apart
         rows = [(camera.name, f"the first of group {camera.group}")]
         return [*rows, ("", used if in_own_frame else placed)]
     offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"

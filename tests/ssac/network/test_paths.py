@@ -490,6 +490,16 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
     assert heads == ["t_s,x_m,y_", "t_s,x,y,z,"]
 
 
+def test_a_camera_has_no_place_in_its_own_frame_whatever_rounding_leaves(solved):
+    _, answer = solved
+    names = tuple(camera.name for camera in answer.cameras)
+    for left in (0.0, -1.2e-17):
+        first = replace(answer.cameras[0], t=np.full(3, left))
+        cameras = replace(answer, cameras=[first, *answer.cameras[1:]])
+        said = NetworkResult(names, "", cameras, {}, False, None, {}).summary()
+        assert said.count("turned by ") == len(names) - 1
+
+
 def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_path(tmp_path):
     network = replace(RULES.network, least_angle_deg=80.0)  # rays are 60 and 120 deg apart
     answer = make_flight(3).solved(rules=replace(RULES, network=network))
