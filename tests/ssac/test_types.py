@@ -96,6 +96,7 @@ def test_consecutive_slices_make_the_whole_and_are_views():
 
 EVEN = np.arange(0, 3, 1 / 30)
 UNEVEN = np.sort(np.random.default_rng(0).random(500))
+LOST = np.random.default_rng(1).random(1000)
 
 
 @pytest.mark.parametrize(
@@ -103,6 +104,10 @@ UNEVEN = np.sort(np.random.default_rng(0).random(500))
     [
         (np.floor(EVEN * 1e3) / 1e3, 0.001),
         (np.floor(EVEN * 1e2) / 1e2, 0.010),
+        # At a frame every one to two steps, all gaps are whole multiples of the least.
+        *((np.floor(1e2 * np.arange(0.003, 3, 1 / fps)) / 1e2, 0.01) for fps in (59.94, 60, 90)),
+        *((np.arange(0, 3, 1 / fps), 0.0) for fps in (50, 100)),
+        *((np.arange(0, 10, 1 / fps)[LOST[: 10 * fps] > 0.3], 0.0) for fps in (50, 100)),
         (np.arange(5.0), 0.0),  # too few to tell
         *(  # of clocks that began just now, or hours or decades ago
             (start_s + times_s, quantum_s)
