@@ -214,7 +214,12 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
             raise SsacError(f"{path}: the image size is missing: add `size: [ width, height ]`")
         sides = [size.at(axis).real() for axis in range(2)]
         model = storage.getNode("distortion_model").string() or "radtan"
-        return _checked_camera(f"{path}, camera {i}", K, sides, model, coeffs)
+        if coeffs[8:].any():  # OpenCV writes 14 for a rational model, the last six as zeros
+            raise SsacError(
+                f"{path}, camera {i}: expected no thin-prism or tilt terms in D{i}, got"
+                f" {coeffs[8:].tolist()}: calibrate without those models"
+            )
+        return _checked_camera(f"{path}, camera {i}", K, sides, model, coeffs[:8])
 
     cam1, cam2 = map(camera, cameras)
     if cameras[0] == cameras[1] or (storage.getNode("R").empty() and storage.getNode("T").empty()):

@@ -177,6 +177,7 @@ POSE = {"R": R, "T": T[:, None]}
     [
         *((letter, tuple(FIVE), "radtan", POSE, T_2_1) for letter in "KM"),
         ("K", COEFFS, "equidistant", {"distortion_model": "equidistant"}, None),
+        *(("M", (*FIVE, 0.0, 0.0, 0.1, *n * (0.0,)), "radtan", POSE, T_2_1) for n in (0, 4, 6)),
     ],
 )
 def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
@@ -184,7 +185,7 @@ def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
     path.write_text(re.sub(r"^K(?=\d:)", letter, path.read_text(), flags=re.MULTILINE))
     rig = load_rig(path)
     for camera in (rig.cam1, rig.cam2):
-        assert same_camera(camera, Camera(K, 346, 260, model, coeffs))
+        assert same_camera(camera, Camera(K, 346, 260, model, coeffs[:8]))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
 
 
@@ -199,6 +200,14 @@ def test_the_unit_of_an_opencv_pose_is_metres_only_where_that_is_stated(
     rig = load_rig(_write_opencv(tmp_path / "stereo.yaml", **POSE, **more), cameras)
     assert rig.in_metres == in_metres
     assert np.linalg.norm(rig.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
+
+
+def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
+    path = _write_opencv(tmp_path / "stereo.yml", (*FIVE, *6 * (0.0,), 0.01))
+    with pytest.raises(
+        SsacError, match=r"camera 1: expected no thin-prism or tilt terms in D1, got"
+    ):
+        load_rig(path)
 
 
 @pytest.mark.parametrize(
