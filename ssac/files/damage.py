@@ -159,23 +159,31 @@ def checked_file(
     are no sign of damage in text, whose times may be rounded. Where the file's times must be in a
     `unit`, times that seem to be in another one give a warning.
     """
-    events = _in_order(events, path, reading, is_text)
-    if reading.allow_damaged:
-        is_inside = events["p"] <= 1
-        for field, size in zip("xy", size_px, strict=True):
-            is_inside &= events[field] < (1 << 16 if size is None else size)
-        n_lost = len(events) - np.count_nonzero(is_inside)
-        if n_lost:
-            warnings.warn(
-                f"{path}: {n_lost} of {len(events)} events lie outside the sensor, or have no"
-                " polarity, and are left out",
-                stacklevel=3,
-            )
-            events = events[is_inside]
+    events = within(_in_order(events, path, reading, is_text), size_px, str(path), reading)
     check_events(events, *size_px, name=str(path))
     if unit:
         _note_unit(events, path, unit)
     return EventFile(events, *size_px)
+
+
+def within(
+    events: Events, size_px: tuple[int | None, int | None], name: str, reading: Reading
+) -> Events:
+    """Leave out, with a warning, events outside the sensor, if `reading` allows damage."""
+    if not reading.allow_damaged:
+        return events
+    is_inside = events["p"] <= 1
+    for field, size in zip("xy", size_px, strict=True):
+        is_inside &= events[field] < (1 << 16 if size is None else size)
+    n_lost = len(events) - np.count_nonzero(is_inside)
+    if not n_lost:
+        return events
+    warnings.warn(
+        f"{name}: {n_lost} of {len(events)} events lie outside the sensor, or have no polarity,"
+        " and are left out",
+        stacklevel=4,
+    )
+    return events[is_inside]
 
 
 @numba.njit(cache=True)

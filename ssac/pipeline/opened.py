@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from ssac.arrays import Array, Events
 from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, EventFile, check_events, events_of_array
-from ssac.files.damage import STRICT, Reading, check_is_file
+from ssac.events import US_PER_S, EventFile, check_event_array, check_events, events_of_array
+from ssac.files.damage import STRICT, Reading, check_is_file, within
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import PointTrack, check_track
 from ssac.track.clean import Clean
 from ssac.track.motion import check_readout
-from ssac.track.observation import Observation, check_seen, tracked
+from ssac.track.observation import Observation, tracked
 
 CameraInput = Path | str | Events | Observation | EventFile | PointTrack
 """A file of events or of a track, events as a structured array, or either as it was loaded."""
@@ -101,7 +101,7 @@ class Recording:
         from ssac.files.event_files import load_events
 
         file = load_events(self.path, self.reading)
-        seen = _of_file(file, self.camera, self.camera_name, self.name)
+        seen = _of_file(file, self.camera, self.camera_name, self.name, self.reading)
         if not frames:
             return seen
         from ssac.files.hdf5 import load_frames
@@ -232,7 +232,7 @@ def _opened(
         return seen
     name = f"camera {number}"
     if isinstance(seen, EventFile):
-        return _of_file(seen, camera, f"{name} of {rig_name}", name)
+        return _of_file(seen, camera, f"{name} of {rig_name}", name, reading)
     if isinstance(seen, PointTrack):
         return tracked(seen, "")
     if isinstance(seen, np.ndarray):
@@ -243,14 +243,17 @@ def _opened(
     )
 
 
-def _of_file(file: EventFile, camera: Camera, camera_name: str, name: str) -> Observation:
+def _of_file(
+    file: EventFile, camera: Camera, camera_name: str, name: str, reading: Reading
+) -> Observation:
     """Return the events of a file as an observation, checked against a camera."""
-    seen = Observation(file.events, name=name)
-    check_seen(seen, name)
+    events = file.events
+    check_event_array(events, name)
     check_resolution(camera, file.width, file.height, camera_name, name)
     if file.width is None or file.height is None:
-        check_events(file.events, camera.width, camera.height, f"{name} with {camera_name}")
-    return seen
+        events = within(events, (camera.width, camera.height), name, reading)
+        check_events(events, camera.width, camera.height, f"{name} with {camera_name}")
+    return Observation(events, name=name)
 
 
 def _same_file(one: object, other: object) -> bool:

@@ -9,12 +9,14 @@ from faery import EVENTS_DTYPE
 from faery.file_encoder import events_to_file
 
 from ssac import PointTrack, SsacError, load_events
+from ssac.camera import Camera
 from ssac.events import events_from_arrays
 from ssac.files.damage import Reading, readable
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.ros_bags import topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
+from ssac.pipeline.opened import Recording
 from tests.ssac.bags import PACKETS, PER_MESSAGE, arrays, mono, packets, points, write_bag
 from tests.ssac.files.test_event_files import HEIGHT, WIDTH, faerys, random_events
 
@@ -133,6 +135,18 @@ def test_what_does_not_fit_is_left_out_where_that_is_allowed(
     save_events_h5(path, changed, WIDTH, HEIGHT)
     found = refused_or_left(path, error, warning)
     np.testing.assert_array_equal(found, np.delete(events, part))
+
+
+def test_the_rigs_size_tells_what_is_outside_where_the_file_states_none(tmp_path):
+    path, events = tmp_path / "cam1.txt", random_events(N)
+    events["x"][7] += 60_000
+    save_events_text(path, events, None, None)
+    camera = Camera(np.diag([200.0, 200.0, 1.0]), WIDTH, HEIGHT)
+    with pytest.raises(SsacError, match="there is an event at x = 60"):
+        Recording(path, camera, "camera 1 of rig.yaml").read()
+    with pytest.warns(UserWarning, match=r"cam1\.txt: 1 of 4000 events lie outside"):
+        left = Recording(path, camera, "camera 1 of rig.yaml", ALLOWED).read().events
+    np.testing.assert_array_equal(left, np.delete(events, 7))
 
 
 # --- ROS bags ---
