@@ -208,12 +208,14 @@ def sync_command(
     from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
     from ssac.pipeline.api import sync
+    from ssac.pipeline.registry import choose_method
 
     files = _files([cam1, *filter(None, [cam2]), *(more or ())], given.topics)
     if rig is None:
         if not (cam1 / "cam1.h5").is_file():
             raise SsacError("Missing option '--rig': give the calibration of the cameras")
-        rig = cam1 / ("rig_extrinsics.yaml" if given.known_extrinsics else "rig.yaml")
+        has_pose = choose_method(given.method, given.known_extrinsics).needs_extrinsics
+        rig = cam1 / ("rig_extrinsics.yaml" if has_pose else "rig.yaml")
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config, log = config_of(OPTIONS, options), partial(typer.echo, err=True)
     outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})

@@ -100,7 +100,8 @@ class Method:
         if self.needs_extrinsics and rig.T_2_1 is None:
             return (
                 f"{rig_name}: {self.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file,"
-                " R and T in OpenCV's): add them, or leave --known-extrinsics out"
+                " R and T in OpenCV's): add them, or use a method that finds the pose, without"
+                " --known-extrinsics"
             )
         for (_, has_track), camera in zip(seen, (rig.cam1, rig.cam2), strict=True):
             if has_track and camera.readout_std_s and not self.finds_readout:

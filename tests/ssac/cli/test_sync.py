@@ -99,10 +99,11 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
 
 def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
     known = ("--method", "ssac", "--known-extrinsics"), "rig_extrinsics.yaml"
-    for method, rig in ((("--method", "event_rate"), "rig.yaml"), known):
+    named = ("--method", "ssac-known"), "rig_extrinsics.yaml"
+    for method, rig in ((("--method", "event_rate"), "rig.yaml"), known, named):
         _, found = answered(tmp_path, recorded.folder, *method)
-        _, named = answered(tmp_path, *recorded.pair, "--rig", recorded / rig, *method)
-        assert found == named
+        _, by_rig = answered(tmp_path, *recorded.pair, "--rig", recorded / rig, *method)
+        assert found == by_rig
 
 
 @pytest.mark.parametrize("method", ["ssac", "zncc_f"])
