@@ -272,6 +272,11 @@ def best_shift(
     either direction, or all that leave enough common time; `rate_std_ppm` is 0 where clocks run
     alike. SsacError if the paths share too little time at any shift, or do not move enough.
     """
+    if len(truth) < RULES.least_samples:
+        raise SsacError(
+            f"the truth has {len(truth)} points with times, and a shift needs at least"
+            f" {RULES.least_samples}: give more of it, or leave its times out to compare shapes"
+        )
     path, best, score = smoothed(estimate), None, -np.inf
     shifts_s, most_s = _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale)
     for shift_s in shifts_s:

@@ -319,6 +319,7 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
         (("rest.csv", "truth.csv"), "the estimate stands still"),
         (("path.tum", "point.csv"), "the truth has 1 points, and at least 3"),
         (("point.csv", "truth.csv"), "the estimate has 1 points, and at least 3"),
+        (("path.tum", "short.csv"), "the truth has 19 points with times, and a shift needs at lea"),
         (("path.tum", "truth.csv", "--json", "a.png", "--plot", "a.png"), "for two outputs"),
         (("path.tum", "truth.csv", "--scale", "big"), "expected unknown or known"),
         (("path.tum", "truth.csv", "--json", "truth.csv"), "would be lost"),
@@ -328,8 +329,10 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
 )
 def test_bad_input_is_one_line(tmp_path, args, reason):
     rest, point = (Path(np.arange(float(n)), np.ones((n, 3))) for n in (99, 1))
-    names = ("path.tum", "truth.csv", "rest.csv", "point.csv")
-    for name, path in zip(names, (*pair(), rest, point), strict=True):
+    estimate, truth = pair()
+    short = Path(truth.times_s[100:119], truth.positions_m[100:119])
+    names = ("path.tum", "truth.csv", "rest.csv", "point.csv", "short.csv")
+    for name, path in zip(names, (estimate, truth, rest, point, short), strict=True):
         write_path(tmp_path / name, path)
     files = ".tum", ".csv", ".jpeg", ".png"
     there = [tmp_path / arg if arg.endswith(files) else arg for arg in args]
