@@ -122,11 +122,14 @@ def as_recorded(clean: Clean) -> Clean:
 
 def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, Any]:
     """Return what the player draws of cameras and pairs: lists, numbers and base64 for JSON."""
-    begin_s, end_s = _stretch(cameras[0])
+    laters_s = [
+        seen.span_s[0] - cameras[0].span_s[0] if seen.later_s is None else seen.later_s
+        for seen in cameras
+    ]
+    begin_s, end_s = _stretch(cameras, laters_s)
     views = []
-    for k, seen in enumerate(cameras):
+    for k, (seen, later_s) in enumerate(zip(cameras, laters_s, strict=True)):
         first_s, last_s = seen.span_s
-        later_s = first_s - cameras[0].span_s[0] if seen.later_s is None else seen.later_s
         reach_s = max(_reach_s(best_s(one)) for pair, one in answers.items() if k in pair)
         span_s = max(first_s, begin_s + later_s - reach_s), min(last_s, end_s + later_s + reach_s)
         views.append(_view(seen, span_s, _MOST_EVENTS // len(cameras)))
@@ -134,17 +137,17 @@ def streams(answers: Mapping[Pair, Answer], cameras: list[Seen]) -> dict[str, An
     return {"views": views, "pairs": pairs}
 
 
-def _stretch(seen: Seen) -> tuple[float, float]:
-    """Return start and end [s] of the part to show, where a camera sees the object most."""
-    first_s, last_s = seen.span_s
+def _stretch(cameras: list[Seen], laters_s: list[float]) -> tuple[float, float]:
+    """Return start and end [s] on camera 1's clock of the part in which all see the most."""
+    first_s, last_s = cameras[0].span_s
     if last_s - first_s <= _LONGEST_S:
         return first_s, last_s
     times_s = np.linspace(first_s, last_s, _MOST_FRAMES, dtype=np.float64)
-    seen_s = times_s[seen.motion.at(times_s).valid]
-    if len(seen_s) == 0:
-        return first_s, first_s + _LONGEST_S
-    many = np.searchsorted(seen_s, seen_s + _LONGEST_S) - np.arange(len(seen_s))
-    start_s = float(seen_s[int(np.argmax(many))])
+    views = zip(cameras, laters_s, strict=True)
+    n_seeing = np.sum([seen.motion.at(times_s + by_s).valid for seen, by_s in views], axis=0)
+    before = np.append(0, np.cumsum(n_seeing))
+    many = before[np.searchsorted(times_s, times_s + _LONGEST_S)] - before[:-1]
+    start_s = float(times_s[np.argmax(np.where(n_seeing > 0, many, -1))])
     return start_s, min(start_s + _LONGEST_S, last_s)
 
 
@@ -206,7 +209,7 @@ def densities(seen: Seen) -> NDArray[np.uint8]:
 def packed(values: NDArray[Any], dtype: DTypeLike) -> str:
     """Deflate numbers (n,) or (n, 2), bytes of equal significance side by side, to base64."""
     numbers = np.ascontiguousarray(values.astype(dtype)).ravel()
-    planes = numbers.view(np.uint8).reshape(len(numbers), -1).T
+    planes = numbers.view(np.uint8).reshape(-1, numbers.itemsize).T
     return base64.b64encode(zlib.compress(planes.tobytes())).decode("ascii")
 
 

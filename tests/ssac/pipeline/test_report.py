@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import ssac
-from ssac import Answer, ClockJump, Estimate, SsacError, Status
+from ssac import Answer, ClockJump, Estimate, PointTrack, SsacError, Status
 from ssac.camera import Camera, distort_points
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -26,7 +26,7 @@ from ssac.geometry.pose import moved_pose
 from ssac.pipeline import pair_charts, plots
 from ssac.pipeline.html_report import report_page, seen_by
 from ssac.pipeline.many import write_two
-from ssac.pipeline.opened import NOTHING
+from ssac.pipeline.opened import NOTHING, opened, opened_rig
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_rows, report_text
 from ssac.pipeline.retries import TINY
@@ -36,10 +36,11 @@ from ssac.search.start import Start
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.html_pages import EVIL, check_page
+from tests.recorded import empty_events
 from tests.ssac.cluttered import noise
 from tests.ssac.command import run
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
-from tests.ssac.tracks import frame_track
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, track_pair
+from tests.ssac.tracks import frame_track, frame_tracks
 
 
 @pytest.fixture(scope="module")
@@ -407,6 +408,27 @@ def test_a_camera_that_saw_nothing_has_a_page(recorded, tmp_path):
     # All events are shown, also those that denoising removed.
     frames, *_ = events_of(laid_out(result.answer)["views"][1])
     assert len(frames) == len(events[::400])  # so few that no two share a pixel of a frame
+
+
+def test_cameras_that_begin_late_or_have_frames_alone_have_a_page(recorded, tmp_path):
+    """Bug: with nothing to draw of a camera in the part shown, the page was a ValueError."""
+    scene = make_scene(0, duration_s=200.0)
+    one, other = frame_tracks(scene, 0.1)
+    late = other.times_s > 160.0
+    other = PointTrack(other.times_s[late], other.points_px[late])
+    rig = [scene.rig.cam1, scene.rig.cam2]
+    result = ssac.sync(one, other, rig, interval_s=(-0.5, 0.5))
+    assert result.has_offset
+    check_page(result.report(tmp_path / "late.html").read_text(encoding="utf-8"))
+    # Camera 2 begins 40 s before the end, which are therefore a part of the 120 s that are shown.
+    view = laid_out(result.answer)["views"][1]
+    shown_s = view["start"] + np.array([0.0, view["frame"] * view["n_frames"]])
+    assert shown_s == pytest.approx(other.times_s[[0, -1]], abs=view["frame"])  # whole frames
+    seen = opened(recorded.pair, opened_rig(recorded / "rig.yaml", 2))
+    frames = [replace(source.read("images"), events=empty_events()) for source in seen]
+    result = ssac.sync(*frames, recorded / "rig.yaml", "zncc_f")
+    assert result.has_offset
+    check_page(result.report(tmp_path / "frames.html").read_text(encoding="utf-8"))
 
 
 def test_the_players_events_are_the_recordings(result, drawn):
