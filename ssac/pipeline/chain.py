@@ -470,9 +470,11 @@ class Chain:
             return start
 
         def found() -> Start:
-            start, of_track = found_at(pair.config.rates), self._has_track(*pair.places)
-            is_open = start.refusal is not None and pair.config.rates is None and of_track
-            if not is_open or views.alone.repeats:  # a repeated path tells no rate either
+            start = found_at(pair.config.rates)
+            is_open = pair.config.rates is None and pair.config.prior_ppm > 0.0
+            is_open &= self._has_track(*pair.places)
+            # A repeated path tells no rate either.
+            if start.refusal is None or not is_open or views.alone.repeats:
                 return start
             other = found_at(pair.config.rules.retry.any_rate)
             return start if other.refusal is not None else other

@@ -179,9 +179,10 @@ def _cards(answer: Answer) -> list[Card]:
     at = estimate.t_d_s, estimate.t_d_std_s, estimate.t_ref_s
     cards, runs = [_offset_card("Time offset", *at)], how_it_runs(estimate)
     if runs:
-        sure = _interval(estimate.skew_ppm, estimate.skew_std_ppm, "ppm", 1)
+        skew_ppm, std_ppm = estimate.skew_ppm, estimate.skew_std_ppm
+        sure = _interval(skew_ppm, std_ppm, "ppm", 1) if std_ppm != 0.0 else ""
         told = "; ".join(one for one in (runs, sure, answer.of_skew) if one)
-        cards.append(("Clock skew", f"{estimate.skew_ppm:+.1f} ppm", told))
+        cards.append(("Clock skew", f"{skew_ppm:+.1f} ppm", told))
     if R is not None and t is not None:
         cards += _pose_cards(answer, R, t)
     if np.isfinite(estimate.d_avg_px):

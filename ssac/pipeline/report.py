@@ -166,7 +166,7 @@ def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
     runs = how_it_runs(estimate)
     if not runs:
         return []
-    sigma = f", 1 sigma {std_ppm:.1f} ppm" if np.isfinite(std_ppm) else ""
+    sigma = f", 1 sigma {std_ppm:.1f} ppm" if 0.0 < std_ppm < np.inf else ""
     rows = [
         ("clock skew", f"{estimate.skew_ppm:+.1f} ppm{sigma}"),
         ("", f"{runs}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
@@ -184,9 +184,9 @@ def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
 
 
 def how_it_runs(estimate: Estimate) -> str:
-    """Say how camera 2's clock runs; empty where its skew was not estimated."""
+    """Say how camera 2's clock runs; empty where its skew was neither estimated nor searched."""
     ppm, std_ppm = estimate.skew_ppm, estimate.skew_std_ppm
-    if not (estimate.has_offset and np.isfinite(ppm) and std_ppm != 0.0):
+    if not (estimate.has_offset and np.isfinite(ppm)) or ppm == std_ppm == 0.0:
         return ""
     if abs(ppm) <= std_ppm:
         mostly = " on average" if len(estimate.knots_s) else ""

@@ -132,7 +132,7 @@ def start_of(views: TwoViews, rates: Interval | None, progress: Progress) -> Sta
     """Search all offsets, and camera 2's clock rates in a range, for the start of a method."""
     rules = views.rules.all_offsets
     has_track = any(isinstance(motion, PointMotion) for motion in views.motions)
-    freedom = rules.rate_freedom if has_track else 0.0
+    freedom = rules.rate_freedom if has_track and views.config.prior_ppm > 0.0 else 0.0
     found = search_all_offsets(*views.motions, rules, rates or (1.0, 1.0), freedom, progress)
     refusal = _refusal(found, views.alone.repeats, rules)
     if refusal is not None and found.guesses:

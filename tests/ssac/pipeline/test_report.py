@@ -6,6 +6,7 @@ import pickle
 import re
 import zlib
 from dataclasses import replace
+from html import unescape
 from urllib.parse import unquote
 
 import cv2
@@ -342,6 +343,12 @@ def test_page_terminal_and_json_say_the_same_of_length_and_skew(result):
     assert (report["distance_m"], report["t"]) == (7.07, result.t.tolist())
     assert text.count("the clocks run alike, as far as this tells") == 1  # the last is near's
     assert "runs fast" not in text
+    # A rate that was searched, of clocks whose skew has a prior of 0, has no deviation.
+    searched = changed(result.answer, t_ref_s=2.5, skew_ppm=8.8, skew_std_ppm=0.0)
+    for text in (page_of(searched), report_text(searched)):
+        assert "+8.8 ppm" in text
+        assert "camera 2's clock runs fast" in unescape(text)
+        assert "1 sigma 0.0 ppm" not in text
 
 
 def test_a_charts_numbers_and_images_stand_as_they_were_drawn(result):
