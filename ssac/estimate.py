@@ -203,7 +203,7 @@ class Estimate:
     first order: the residuals hardly show an error that both share."""
     Ks: tuple[Array, Array] | None = None  # (3, 3) each: intrinsics that were fitted with the rest
     against: float = 0.0  # from the rig's intrinsics to the best-fitting ones, in deviations
-    against_skew: float = 0.0  # the same of the skew, from its prior
+    against_skew: float = 0.0  # the same of the skew, from its prior; inf: it was to be none
     misfit: str = ""  # which intrinsics would fit better, if the evidence is strong, as a sentence
     without_body: str = ""  # why tangents are not joined with a rigid body, as a part of a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence

@@ -232,7 +232,7 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
     if at_s is None:
         return estimate
     for _ in range(3):
-        with_step = _with_step(problem, problem.pairs.times_s >= at_s)
+        with_step = _with_change(problem, problem.pairs.times_s >= at_s)
         found = solve(with_step, start).parameters
         start = replace(found, columns=np.append(found.columns[:-1], 0.0))
         moved_to_s = _instant(with_step, found, at_s, rules)
@@ -247,15 +247,16 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
     least = rules.fewer_sigmas if is_far else rules.jump_sigmas
     if abs(size_s) < max(rules.min_jump_s, least * std_s):
         return estimate
-    is_affine = len(model.deviations) == 1
-    skew_ppm = _better_skew_ppm(problem, start, stepped) if is_affine else None
+    is_affine = len(model.deviations) <= 1
+    skew_ppm = _better_skew_ppm(model, problem, start, stepped) if is_affine else None
     if skew_ppm is not None:
+        prior_ppm = float(np.sum(model.deviations)) / PPM
         reason = (
             f"camera 2's clock fits better with a skew of {skew_ppm:+.0f} ppm than with a jump, far"
-            f" beyond the prior deviation of {model.deviations[0] / PPM:g} ppm: give a larger one"
-            " (--skew-prior)"
+            f" beyond the prior deviation of {prior_ppm:g} ppm: give a larger one (--skew-prior)"
         )
-        return refused(estimate, Refusal(Status.POOR_FIT, reason))
+        too_fast = refused(estimate, Refusal(Status.POOR_FIT, reason))
+        return too_fast if prior_ppm > 0.0 else replace(too_fast, against_skew=np.inf)
     before_s = float(model.clock(found).cam2_from_cam1(at_s)) - at_s
     return jumped(estimate, ClockJump(at_s, size_s, std_s, before_s, before_s + size_s))
 
@@ -284,22 +285,31 @@ def _likely(residuals: Residuals, rules: ClockRules) -> float | None:
     return float(tried_s[best]) if gains_px[best] > rules.fewer_sigmas * scale_px else None
 
 
-def _with_step(problem: Problem, later: Any) -> Problem:
-    """Add, as the last column, a step of the offset for the pairs of the mask `later` (n,)."""
+def _with_change(problem: Problem, by: Any) -> Problem:
+    """Add, as the last column, a change of camera 2's clock by `by` (n,) times the column's value.
+
+    A mask of the later pairs is a step of the offset; the time since t_ref is a skew.
+    """
     pairs = problem.pairs
-    moves_px = later[:, None] * pairs.v2_px_s
-    step = Column(np.zeros_like(pairs.p1_px), moves_px, is_of_clock=True)
-    return replace(problem, columns=(*problem.columns, step))
+    moves_px = by[:, None] * pairs.v2_px_s
+    change = Column(np.zeros_like(pairs.p1_px), moves_px, is_of_clock=True)
+    return replace(problem, columns=(*problem.columns, change))
 
 
-def _better_skew_ppm(problem: Problem, start: Parameters, stepped: Residuals) -> float | None:
+def _better_skew_ppm(
+    model: ClockModel, problem: Problem, start: Parameters, stepped: Residuals
+) -> float | None:
     """Return the skew [ppm] that fits best without a prior, if better than a step; else None."""
-    skewed = _with_open_skew(problem, start)
+    if len(model.deviations):
+        place, skewed = 0, _with_open_skew(problem, start)
+    else:  # the start's last column, of the step, is zero
+        place, by_skew_too = -1, _with_change(problem, problem.pairs.times_s - model.t_ref_s)
+        skewed = linearise(by_skew_too, solve(by_skew_too, start).parameters)
     scale_px = max(robust_deviation(stepped.distances_px), 1e-12)
     by_skew, by_step = (
         np.sum(np.log1p((one.distances_px / scale_px) ** 2)) for one in (skewed, stepped)
     )
-    return float(skewed.parameters.columns[0]) / PPM if by_skew < by_step else None
+    return float(skewed.parameters.columns[place]) / PPM if by_skew < by_step else None
 
 
 def _with_open_skew(problem: Problem, start: Parameters, **how: Any) -> Residuals:
@@ -313,7 +323,7 @@ def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRul
     """Find the time [s] from which on the offset after a step fits the pairs better."""
     times_s, (*_, size_s) = with_step.pairs.times_s, found.columns
     plain = replace(with_step, columns=with_step.columns[:-1])
-    all_along = _with_step(plain, np.ones(len(times_s)))
+    all_along = _with_change(plain, np.ones(len(times_s)))
     margin_s = rules.jump_margin_s
     first_s, last_s = np.min(times_s) + margin_s, np.max(times_s) - margin_s
     inside = np.abs(times_s - at_s) <= rules.jump_near_s

@@ -100,7 +100,7 @@ class _OfPositions(Refinement):
             residuals = linearise(last.problem, parameters)
             if is_spread(residuals.distances_px, self.size_px, rules):
                 found_by = checked_clock(self.start, self.model, residuals)
-                if found_by.status == Status.CLOCK_JUMP:
+                if found_by.status == Status.CLOCK_JUMP or np.isinf(found_by.against_skew):
                     return found_by
                 reason = doubt(residuals.distances_px, self.size_px, rules)
                 return replace(self.start, status=Status.POOR_FIT, reason=reason, R=None, t=None)

@@ -187,7 +187,8 @@ def may_give_start(method: Method, found: Estimate) -> bool:
     """Whether the estimate that a method starts from may replace the method's own refusal."""
     # With a known pose the deviations of joint are less reliable: one of two was 18 of them off.
     is_open = bool(method.keeps_start) and not method.needs_extrinsics
-    return is_open and found.status in SETTLED_BY["start"]
+    # Clocks that do not run alike, as they were to, are no fault of the outline's.
+    return is_open and found.status in SETTLED_BY["start"] and np.isfinite(found.against_skew)
 
 
 def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
@@ -220,6 +221,7 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
     states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
     is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
     is_in_doubt |= found.status == Status.POOR_FIT and not states
+    is_in_doubt &= np.isfinite(found.against_skew)  # else the clock is in doubt
     if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
         return
     for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):

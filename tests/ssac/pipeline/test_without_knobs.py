@@ -16,6 +16,7 @@ from ssac.pipeline.api import chain_of
 from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
+from ssac.pipeline.report import report_rows
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import ObjectsUsed
@@ -93,6 +94,25 @@ def test_a_track_at_another_rate_is_found():
     result = ssac.sync(*tracks, [CAMERA, CAMERA])
     assert result.status == Status.OK
     assert 1.0 + 1e-6 * result.skew_ppm == pytest.approx(0.71, abs=1e-3)
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.0008, 0.71])
+def test_clocks_that_are_said_to_run_alike_are_given_no_rate_but_one_that_is_searched(rate):
+    """Bug: a search of all offsets gave tracks a rate though, with a deviation of 0."""
+    scene = make_scene(1, duration_s=16.0)
+    seen = *frame_tracks(scene, 3.0, rate), [UNSTATED, UNSTATED]
+    result = ssac.sync(*seen, skew_prior_ppm=0.0)
+    assert result.answer.guess.rate == 1.0
+    assert result.has_offset == (rate == 1.0)
+    assert "clock skew" not in result.summary()
+    if rate == 1.0:
+        return
+    assert ("fits better with a skew of +" in result.reason) == (rate == 1.0008)
+    found = ssac.sync(*seen, skew_prior_ppm=0.0, rates=(0.7, 1.1))
+    assert found.status == Status.OK
+    # The search ends at steps of 1 ms, 1e-4 of half the time; F makes up for two or three of them.
+    assert 1.0 + 1e-6 * found.skew_ppm == pytest.approx(rate, abs=3e-4)
+    assert dict(report_rows(found.answer))["clock skew"] == f"{found.skew_ppm:+.1f} ppm"
 
 
 @pytest.mark.parametrize("size_s", [0.1, 0.3])
@@ -248,6 +268,8 @@ def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, state
     more_px = np.diff(stds_px, axis=0)
     assert np.all(more_px >= 0.0)
     assert np.all(more_px[:, 0].any(axis=-1))
+    too_fast = replace(found, against_skew=np.inf)  # of a clock that was to have no skew
+    assert not list(less_certain(rig, too_fast, VerdictRules()))
     if n:  # at least the deviations of a careless calibration
         assert np.all(np.array(stds_px[1][1]) >= [6.0, 6.0, 10.0, 10.0])
 
@@ -403,9 +425,12 @@ def test_where_tangents_fit_poorly_their_start_is_the_answer_but_less_sure(recor
     assert_allclose(given, times * np.array([joint.t_d_std_s, joint.skew_std_ppm, joint.r_std_deg]))
     said = "outline fits poorly, and deviations are 2 times as wide: this is the answer of joint"
     assert said in result.to_dict()["note"]
-    poor["status"] = Status.CLOCK_JUMP  # tangents tell a jump more surely than their start does
-    jumping = ssac.sync(*recorded.pair, recorded / "rig.yaml", config=asked)
-    assert jumping.status == Status.CLOCK_JUMP
+    # Tangents tell a jump, or a skew that was to be none, more surely than their start does.
+    for told in ({"status": Status.CLOCK_JUMP}, {"against_skew": np.inf}):
+        changes = poor | told
+        monkeypatch.setattr(tangency, "certain", lambda found, _, to=changes: replace(found, **to))
+        refused = ssac.sync(*recorded.pair, recorded / "rig.yaml", config=asked)
+        assert refused.status == changes["status"]
 
 
 @pytest.mark.parametrize(("t_d_std_s", "is_tried"), [(0.034, True), (np.nan, True), (1e-4, False)])
