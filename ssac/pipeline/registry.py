@@ -11,7 +11,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property, partial
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from importlib.metadata import EntryPoint, entry_points
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
@@ -129,23 +130,64 @@ def _checked(function: EstimateFunction, origin: str, home: Path, *given: Any) -
         if theirs:  # the last line of that package in the traceback
             where = f"{theirs[-1].filename}, line {theirs[-1].lineno}"
         raise PluginError(_bug(origin, f"{type(error).__name__}: {error}", where)) from error
-    if not isinstance(estimate, Estimate):  # which would spoil a table in silence
-        fault = f"must return an Estimate, got {type(estimate).__name__}"
-    elif not _STATUS.fullmatch(estimate.status):
-        fault = (
-            f"returned the status {str(estimate.status)!r}: give one word of ssac.Status, or of"
-            f" your own, that matches {_STATUS.pattern}"
-        )
-    elif not (fault := _fault_of(estimate)):
-        return estimate
-    raise PluginError(_bug(origin, fault, where))
+    try:
+        if not isinstance(estimate, Estimate):  # which would spoil a table in silence
+            raise TypeError(f"must return an Estimate, got {type(estimate).__name__}")
+        typed = _typed(estimate)
+        fault = _fault_of(typed)
+    except TypeError as error:
+        fault = str(error)
+    if fault:
+        raise PluginError(_bug(origin, fault, where))
+    return typed
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
+def _array(value: Any) -> Array:
+    return np.asarray(value, np.float64)
+
+
+_TYPES: dict[Any, tuple[Callable[[Any], Any], str]] = {
+    float: (float, "one number"),
+    int: (int, "one whole number"),
+    str: (_text, "text"),
+    Array: (_array, "an array of numbers"),
+    Array | None: (_array, "an array of numbers, or None"),
+}
+"""For the types of an estimate's fields: what brings a value to it, and its name."""
+
+
+def _typed(estimate: Estimate) -> Estimate:
+    """Bring each value to its field's type and dimensions; TypeError if one cannot be."""
+    typed, plain = dict[str, Any](), vars(Estimate(""))
+    for name, kind in ((one.name, one.type) for one in fields(Estimate)):
+        value, usual = getattr(estimate, name), plain[name]
+        if value is usual or kind not in _TYPES:
+            continue
+        convert, what = _TYPES[kind]
+        try:
+            if usual is not None and np.ndim(value) != np.ndim(usual):
+                raise TypeError
+            typed[name] = convert(value)
+        except (TypeError, ValueError) as error:
+            got = f"of shape {value.shape}" if isinstance(value, np.ndarray) else f"= {value!r}"
+            raise TypeError(f"returned {name} {got}: give {what}") from error
+    return replace(estimate, **typed)
 
 
 def _fault_of(estimate: Estimate) -> str:
     """Say which value of an estimate cannot be, where one cannot; empty otherwise."""
     t_d_s, R, t, most = estimate.t_d_s, estimate.R, estimate.t, 1e-3  # a rounded pose's error
-    if np.ndim(t_d_s) != 0:
-        return f"returned t_d_s of shape {np.shape(t_d_s)}: give one number"
+    if not _STATUS.fullmatch(estimate.status):
+        return (
+            f"returned the status {str(estimate.status)!r}: give one word of ssac.Status, or of"
+            f" your own, that matches {_STATUS.pattern}"
+        )
     if estimate.status == Status.OK and not np.isfinite(t_d_s):
         return (
             f'returned t_d_s = {t_d_s} with status "ok": give the reason\'s name as the'

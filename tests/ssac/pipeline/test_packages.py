@@ -17,10 +17,21 @@ from experiments.lab.grid import Cell, load_config
 from experiments.lab.schedule import refusal
 from experiments.lab.scored import SCORED, scored_row
 from sim.recording import SimConfig
-from ssac import Chain, Config, Observation, PluginError, SsacError, load_events, load_rig
+from ssac import (
+    Chain,
+    Config,
+    Estimate,
+    Observation,
+    PluginError,
+    Result,
+    SsacError,
+    load_events,
+    load_rig,
+)
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS, Input, Registry, choose_method
+from tests.answers import assert_same
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
@@ -152,6 +163,14 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
         ('Estimate("mine", t_d_s=0.0, R=np.full((3, 3), np.nan))', "R = .*: give an array"),
         ('Estimate("mine", t_d_s=0.0, R=2.0 * np.eye(3))', "R = .*: give an array"),
         ('Estimate("mine", t_d_s=0.0, t=np.array([5.0, 0.0, 0.0]))', "t = .*: give an array"),
+        ('Estimate("mine", t_d_s=None)', "t_d_s = None: give one number"),
+        ('Estimate("mine", t_d_s=0.0, t_d_std_s=None)', "t_d_std_s = None: give one number"),
+        ('Estimate("mine", t_d_s=0.0, n_samples="a")', "n_samples = 'a': give one whole number"),
+        ('Estimate("mine", None)', "status = None: give text"),
+        ('Estimate("mine", "dark", reason=None)', "reason = None: give text"),
+        ('Estimate("mine", t_d_s=0.0, R="no")', "R = 'no': give an array of numbers, or None"),
+        ('Estimate("mine", t_d_s=0.0, costs=None)', "costs = None: give an array of numbers"),
+        ('Estimate("mine", t_d_s=0.0, costs=[[1.0]])', r"costs = \[\[1\.0\]\]: give an array"),
     ],
 )
 def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
@@ -160,6 +179,29 @@ def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
     # A PluginError counts as a crash; an SsacError would blame the data.
     with pytest.raises(PluginError, match=rf"careless 1\.2 \(entry .*{message}"):
         chain.estimate(Registry()["mine"])
+
+
+def test_values_that_mean_the_same_as_those_of_an_estimate_become_those(site, chain, tmp_path):
+    """Bug: they were kept, and table, JSON and page were bugs of ours."""
+    a_pose = "R=np.eye(3).tolist(), t=[0, 0, 1], F=np.eye(3, dtype=int).tolist()"
+    numbers = "np.float32(0.25), t_d_std_s=np.float32(0.125), n_samples=np.int64(5), d_avg_px=1"
+    curve = "alternatives_s=[1, 2], candidates_s=[0.0, 0.25], costs=(3, np.float32(2))"
+    returned = f'Estimate("mine", t_d_s={numbers}, {a_pose}, {curve})'
+    source = "import numpy as np\n" + GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
+    install(site, "casual", "mine = casual:estimate", source)
+    result = Result(chain.answer(Registry()["mine"]))
+    assert_same(
+        result.estimate,
+        Estimate(
+            "mine", t_d_s=0.25, t_d_std_s=0.125, n_samples=5, d_avg_px=1.0,
+            R=np.eye(3), t=np.array([0.0, 0.0, 1.0]), F=np.eye(3),
+            alternatives_s=np.array([1.0, 2.0]), candidates_s=np.array([0.0, 0.25]),
+            costs=np.array([3.0, 2.0]),
+        ),
+    )  # fmt: skip
+    assert result.summary()
+    json.dumps(result.to_dict())
+    result.report(tmp_path / "page.html")
 
 
 def test_a_crash_is_said_to_be_the_packages_and_in_a_table_it_is_a_row_that_says_so(
