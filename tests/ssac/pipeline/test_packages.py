@@ -23,6 +23,7 @@ from ssac import (
     Estimate,
     Observation,
     PluginError,
+    PointTrack,
     Result,
     SsacError,
     load_events,
@@ -31,9 +32,11 @@ from ssac import (
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import OURS, Input, Registry, choose_method
+from ssac.track.observation import tracked
 from tests.answers import assert_same
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
+from tests.ssac.tracks import frame_track
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -354,6 +357,18 @@ def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path
     found = json.loads(out.read_text())
     assert found["method"] == "track_speed"
     assert found["t_d_s"] == pytest.approx(0.25, abs=1e-9)  # a whole number of its steps
+
+
+def test_the_example_finds_the_offset_of_equal_tracks(example, site):
+    """Bug: it asked for what the motion of events alone has."""
+    source = (example[0] / "track_speed.py").read_text()
+    install(site, "track_speed", "track_speed = track_speed:track_speed", source)
+    scene = make_scene(0, duration_s=8.0)
+    one, other = (frame_track(scene, 1, 50.0, offset_s) for offset_s in (0.0, 0.25))
+    few = PointTrack(np.delete(other.times_s, 20), np.delete(other.points_px, 20, axis=0))
+    chain = Chain([tracked(one), tracked(few)], scene.rig)
+    found = chain.estimate(Registry()["track_speed"])
+    assert (found.status, found.t_d_s) == ("ok", pytest.approx(0.25, abs=1e-9))  # whole steps
 
 
 def test_the_grid_of_the_example_is_read_and_it_may_be_an_object(example, site, monkeypatch):
