@@ -296,7 +296,9 @@ class Chain:
         refusal = unusable(views, cleans, None if pair.tries_all else config.offsets_s)
         if refusal is None and pair.tries_all and views.alone.are_straight:
             # For straight paths some F fits at any offset: only the speed along them tells it.
-            pair = replace(pair, config=replace(config, interval_s=overlapping(cleans)))
+            whole = overlapping(cleans)
+            near = replace(config, interval_s=whole, search="interval", rates=None)
+            pair = replace(pair, config=near)
         elif refusal is None and pair.tries_all:
             start = self._start(pair, views)
             pair, refusal = replace(pair, start=start), start.refusal

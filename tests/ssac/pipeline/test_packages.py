@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -31,12 +32,13 @@ from ssac import (
 )
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.opened import Recording
-from ssac.pipeline.registry import OURS, Input, Registry, choose_method
+from ssac.pipeline.registry import METHODS, OURS, Input, Registry, choose_method
 from ssac.track.observation import tracked
 from tests.answers import assert_same
 from tests.ssac.command import run
+from tests.ssac.methods import flights
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
-from tests.ssac.tracks import frame_track
+from tests.ssac.tracks import frame_track, frame_tracks
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -369,6 +371,21 @@ def test_the_example_finds_the_offset_of_equal_tracks(example, site):
     chain = Chain([tracked(one), tracked(few)], scene.rig)
     found = chain.estimate(Registry()["track_speed"])
     assert (found.status, found.t_d_s) == ("ok", pytest.approx(0.25, abs=1e-9))  # whole steps
+
+
+def test_a_search_of_all_offsets_of_a_straight_path_is_an_interval_to_every_method(example, site):
+    """Bug: a method that gave its config to two_views was refused for both."""
+    source = (example[0] / "track_speed.py").read_text()
+    install(site, "track_speed", "track_speed = track_speed:track_speed", source)
+    scene = replace(flights.scene_of(flights.straight), duration_s=10.0)
+    chain = Chain([*map(tracked, frame_tracks(scene, 0.3))], scene.unknown_rig)
+    for method in (Registry()["track_speed"], METHODS["joint"]):
+        expected = chain.answer(method)
+        for asked in (Config(search="all"), Config(rates=(0.9, 1.1))):
+            found = chain.under(asked).answer(method)
+            assert_same(found.estimate, expected.estimate)
+            assert found.config.interval_s == expected.config.interval_s
+    assert (expected.estimate.has_offset, expected.start) == (True, None)
 
 
 def test_the_grid_of_the_example_is_read_and_it_may_be_an_object(example, site, monkeypatch):
