@@ -21,7 +21,6 @@ from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.plots import (
     BLUE,
@@ -74,7 +73,7 @@ _SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
 def load_recording(folder: Path, t_d_s: float = 0.0) -> Chain:
     """Read a simulated recording, with an offset added to camera 2's clock."""
     files = folder / "cam1.h5", folder / "cam2.h5"
-    return chain_of(files, folder / "rig_extrinsics.yaml").delayed(t_d_s)
+    return Chain(files, folder / "rig_extrinsics.yaml").delayed(t_d_s)
 
 
 def preprocessing_figure(chain: Chain) -> Figure:

@@ -35,7 +35,7 @@ from ssac.cli.options import named
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.pipeline import html_report
-from ssac.pipeline.api import chain_of
+from ssac.pipeline.chain import Chain
 from ssac.pipeline.plots import d_avg_px
 
 METHOD = "tangency"
@@ -143,7 +143,7 @@ class Animation:
 def make_animation(folder: Path) -> Animation:
     """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead."""
     recorded = folder / "cam1.h5", folder / "cam2.h5"
-    answer = chain_of(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
+    answer = Chain(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
     estimate = answer.estimate
     answers = {(0, 1): answer}
     player = html_report.player_of(answers, html_report.seen_by(answers), tour=True)

@@ -53,7 +53,8 @@ from ssac.network.comparison import Comparison, compare
 from ssac.network.solve import CameraAnswer, NetworkAnswer
 from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.api import chain_of, sync
+from ssac.pipeline.api import sync
+from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import network
 from ssac.points import PointTrack
 from ssac.track.faint import faint_object_events
@@ -221,7 +222,7 @@ def at_once(
         files = write_events(Path(name), folders, truths, cell.flight)
         rig = Path(name) / "rig.yaml"
         write_rig(rig, calibrated(cell.config, cell.flight)[: len(files)])
-        return network(chain_of(files, rig, CONFIG)).network
+        return network(Chain(files, rig, CONFIG)).network
 
 
 def estimated(

@@ -23,7 +23,6 @@ from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
 from ssac.config import N_MIN, Config
-from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
@@ -81,7 +80,7 @@ def cells(cam1: File, cam2: File, rig: File) -> list[SpreadCell]:
 def load(cells: Sequence[SpreadCell], _: object) -> Chain:
     """Read the recordings."""
     cam1, cam2, rig = cells[0].files
-    return chain_of((cam1, cam2), rig)
+    return Chain((cam1, cam2), rig)
 
 
 def row(cell: SpreadCell, chain: Chain) -> SpreadRow:

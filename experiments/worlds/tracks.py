@@ -26,7 +26,7 @@ from ssac.network.comparison import Comparison, compare
 from ssac.network.graph import Pair, closures_s
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.api import chain_of, sync
+from ssac.pipeline.api import sync
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import solve_pairs
 
@@ -279,7 +279,7 @@ def _strays(row: Row, estimate: Estimate) -> list[Row]:
 def path_of(one: DataSet) -> tuple[Row, Comparison]:
     """Solve all cameras of a data set jointly from its pairs' answers, and compare with RTK."""
     start_s = time.process_time()
-    answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)
+    answer = solve_pairs(Chain(one.tracks, one.rig), one.pairs)
     network_s = time.process_time() - start_s
     if not answer.paths:
         raise SsacError(f"{one.folder}: no cameras see a path together: {answer.reason}")

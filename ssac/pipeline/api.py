@@ -278,17 +278,11 @@ def _config_of(config: Config | None, fields: dict[str, Any]) -> Config:
     return replace(config, **fields)
 
 
-def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
-    """Make a chain of recordings and their rig, in any form that `sync` takes."""
-    models = border.opened_rig(rig, len(cameras))
-    return Chain(border.opened(cameras, models), models, config)
-
-
 def two_views(
     cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> TwoViews:
     """Return the object's motion in both views (the paper's Sec. IV-A), together with the rig."""
-    return chain_of((cam1, cam2), rig, config).views()
+    return Chain((cam1, cam2), rig, config).views()
 
 
 def usable_events(
@@ -298,7 +292,7 @@ def usable_events(
 
     SsacError if the events of a camera are empty, unsorted or outside its sensor.
     """
-    chain = chain_of((cam1, cam2), rig, config)
+    chain = Chain((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events
 
 
@@ -308,7 +302,7 @@ def function_of(method: Method) -> EstimateFunction:
     def estimate(
         cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
     ) -> Estimate:
-        return chain_of((cam1, cam2), rig, config).estimate(method)
+        return Chain((cam1, cam2), rig, config).estimate(method)
 
     estimate.__name__ = estimate.__qualname__ = method.name.replace("-", "_")
     estimate.__doc__ = f"""Estimate as `sync(..., method="{method.name}")` does: {method.summary}.

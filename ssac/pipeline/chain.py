@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Cameras, Rig, with_usual_centres
+from ssac.camera import Rig, with_usual_centres
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -29,7 +29,17 @@ from ssac.methods.method import Input, Method
 from ssac.methods.verdict import jumped, quantum_s, widened
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
-from ssac.pipeline.opened import IMAGES, MEANS, Source, cameras_of, check_two, kind_of
+from ssac.pipeline.opened import (
+    IMAGES,
+    MEANS,
+    CameraInput,
+    RigInput,
+    Source,
+    check_two,
+    kind_of,
+    opened,
+    opened_rig,
+)
 from ssac.pipeline.registry import choose_method, load
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
@@ -60,12 +70,12 @@ class Chain:
 
     def __init__(
         self,
-        cameras: Sequence[Source],
-        rig: Cameras | Rig,
+        cameras: Sequence[CameraInput | Source],
+        rig: RigInput,
         config: Config | None = None,
         log: Log = quiet,
     ) -> None:
-        """Take the recordings of two or more cameras, in the order of their rig.
+        """Take the recordings of two or more cameras, in the order of their rig, as `sync` does.
 
         Of two recordings in files, the noise is not kept in memory. `log` is called with a line of
         progress after each part. SsacError if a parameter makes no sense, or there are more or
@@ -73,20 +83,14 @@ class Chain:
         """
         if not isinstance(cameras, Sequence):
             raise SsacError(f"cameras: expected a list of recordings, got {kind_of(cameras)}")
-        self.sources = tuple(cameras)
-        self.rig = with_usual_centres(cameras_of(rig))
+        if len(cameras) < 2:
+            raise SsacError(f"cameras: expected two recordings or more, got {len(cameras)}")
+        self.rig = with_usual_centres(opened_rig(rig, len(cameras)))
+        self.sources = opened(cameras, self.rig)
         self.config = validated(config)
         self.watch = Stopwatch(log)
         self._kept: dict[Hashable, Any] = {}
         self._undelayed: tuple[Chain, float] | None = None
-        for k, source in enumerate(self.sources, start=1):
-            if not isinstance(source, Source):
-                raise SsacError(f"camera {k}: expected a ssac.Observation, got {kind_of(source)}")
-        if not 2 <= len(self.sources) == len(self.rig):
-            raise SsacError(
-                f"{len(self.sources)} recordings for the {len(self.rig)} cameras of"
-                f" {self.rig.name}: give one of each camera, of two or more"
-            )
 
     def __len__(self) -> int:
         return len(self.sources)

@@ -151,7 +151,7 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
 
 
 def opened(
-    seen: Sequence[CameraInput],
+    seen: Sequence[CameraInput | Source],
     rig: Cameras,
     numbers: Sequence[int] | None = None,
     reading: Reading = STRICT,
@@ -221,14 +221,14 @@ def check_distance(distance_m: float, rig: Cameras) -> None:
 
 
 def _opened(
-    seen: CameraInput, camera: Camera, number: int, rig_name: str, reading: Reading
+    seen: CameraInput | Source, camera: Camera, number: int, rig_name: str, reading: Reading
 ) -> Source:
     if isinstance(seen, (str, Path)):
         path = Path(seen)
         if bag_of(path) is None and not path.is_dir():  # bags and folders are checked by the reader
             check_is_file(path)
         return Recording(path, camera, f"camera {number} of {rig_name}", reading)
-    if isinstance(seen, Observation):
+    if isinstance(seen, Source):
         return seen
     name = f"camera {number}"
     if isinstance(seen, EventFile):

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 import ssac
-from ssac import Config, Estimate, PointTrack, SsacError
+from ssac import Chain, Config, Estimate, PointTrack, SsacError
 from ssac.camera import Camera, Cameras, Rig, same_camera
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -79,25 +79,29 @@ TRACKS = {
 @pytest.mark.parametrize("kind", CAMERAS)
 def test_every_kind_of_camera_is_opened_as_the_same(kind, files):
     cameras = [CAMERAS[kind](files, k) for k in (1, 2)]
-    for source, events in zip(opened(cameras, Cameras((CAMERA, CAMERA))), EVENTS, strict=True):
-        assert not source.has_track
-        np.testing.assert_array_equal(source.read().events, events, strict=True)
+    sources = opened(cameras, Cameras((CAMERA, CAMERA)))
+    for given in (sources, Chain(cameras, RIG).sources, Chain(sources, RIG).sources):
+        for source, events in zip(given, EVENTS, strict=True):
+            assert not source.has_track
+            np.testing.assert_array_equal(source.read().events, events, strict=True)
 
 
 @pytest.mark.parametrize("kind", TRACKS)
 def test_every_kind_of_track_is_opened_as_the_same(kind, files):
-    source, _ = opened([TRACKS[kind](files), EVENTS[1]], Cameras((CAMERA, CAMERA)))
-    track, expected = source.read().track, ssac.load_track(files / "cam1.csv")
-    assert source.has_track
-    np.testing.assert_array_equal(track.times_s, expected.times_s)
-    np.testing.assert_array_equal(track.points_px, expected.points_px)
+    seen, expected = [TRACKS[kind](files), EVENTS[1]], ssac.load_track(files / "cam1.csv")
+    for source, _ in (opened(seen, Cameras((CAMERA, CAMERA))), Chain(seen, RIG).sources):
+        assert source.has_track
+        track = source.read().track
+        np.testing.assert_array_equal(track.times_s, expected.times_s)
+        np.testing.assert_array_equal(track.points_px, expected.points_px)
 
 
 @pytest.mark.parametrize("kind", RIGS)
 def test_every_kind_of_rig_is_opened_as_the_same(kind, files):
-    rig = opened_rig(RIGS[kind](files), 2)
-    assert all(same_camera(camera, CAMERA) for camera in rig.cameras)
-    assert rig.pair(0, 1).T_2_1 is None
+    given = RIGS[kind](files)
+    for rig in (opened_rig(given, 2), Chain(EVENTS, given).rig):
+        assert all(same_camera(camera, CAMERA) for camera in rig.cameras)
+        assert rig.pair(0, 1).T_2_1 is None
 
 
 def test_a_list_of_cameras_and_a_methods_own_function_give_the_same(files, result):
@@ -290,12 +294,14 @@ def test_a_wrong_camera_or_chain_is_one_clear_error_on_every_path():
     for call in (ssac.joint, ssac.two_views, ssac.usable_events):
         with pytest.raises(SsacError, match=r"^camera 1: the resolution must be"):
             call(ONE, OTHER, rig)
-    for args in ((seen, rig), (None, RIG), (seen[:1], RIG), ((ONE, OTHER), RIG), (seen, None)):
-        with pytest.raises(SsacError, match=r"resolution|expected|recordings for the 2 cameras"):
-            ssac.Chain(*args)
+    for args in ((seen, rig), (None, RIG), (seen[:1], RIG), ((ONE, 3), RIG), (seen, None)):
+        with pytest.raises(SsacError, match=r"resolution|expected"):
+            Chain(*args)
+    with pytest.raises(SsacError, match=r"^rig: it has 2 cameras, and there are 3 recordings"):
+        Chain((*seen, *EVENTS[:1]), RIG)
     for pair in ((0, 5), (1, 0), (1, 1)):
         with pytest.raises(SsacError, match="there are 2, numbered from 0 on"):
-            ssac.Chain(seen, RIG).answer("joint", *pair)
+            Chain(seen, RIG).answer("joint", *pair)
 
 
 def test_a_pose_without_the_next_ones_is_not_taken_for_that_of_a_later_camera():
