@@ -199,7 +199,7 @@ def _pose_cards(answer: Answer, R: Array, t: Array) -> list[Card]:
     if answer.method.needs_extrinsics:
         turn, direction = f"{turn}, given by the rig file", "given by the rig file"
     elif estimate.covariance is None:
-        turn, direction = f"{turn}, of unknown accuracy", f"{length} and accuracy"
+        turn, direction = f"{turn}, of unknown accuracy", f"{length}, of unknown accuracy"
     else:
         by_turn = vector_by_turn(R)
         turn_stds = np.sqrt(np.diag(by_turn @ estimate.covariance[1:4, 1:4] @ by_turn.T))

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
+from ssac.config import Interval
 from ssac.estimate import Estimate
 from ssac.files.whole_file import write_whole
 from ssac.methods.method import Input, Method
@@ -108,12 +109,21 @@ def report_json(answer: Answer) -> dict[str, Any]:
         " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
         "directions in the same six; readouts of camera 1 and 2, null: not known, taken for 0",
-        "search_s": list(answer.config.offsets_s),
+        "search_s": list(_searched_s(answer)),
         "cam1": answer.names[0],
         "cam2": answer.names[1],
         "rig": answer.rig_name,
         "seconds": {part: round(value, 3) for part, value in answer.seconds.items()},
     }
+
+
+def _searched_s(answer: Answer) -> Interval:
+    """Bounds [s] of the offsets searched: of all, where a search of all of them gave no answer."""
+    if answer.start is None or answer.estimate.has_offset:
+        return answer.config.offsets_s
+    found = answer.start.found
+    tried_s = found.candidates_s[np.isfinite(found.costs)].tolist()
+    return (min(tried_s), max(tried_s)) if tried_s else answer.config.offsets_s
 
 
 def _objects_row(answer: Answer) -> list[tuple[str, str]]:

@@ -153,6 +153,18 @@ def test_every_line_fits_a_screen(answer):
     assert " ".join(line[15:] for line in lines).count("other offsets fit about as well:") == 9
 
 
+def test_a_search_of_all_offsets_without_an_answer_is_said_to_be_of_all():
+    """Bug: it was half a second around the best of them."""
+    (one, _), (_, other) = (frame_tracks(make_scene(k, duration_s=8.0), 30.0) for k in (0, 1))
+    refused = ssac.sync(one, other, [Camera(K, WIDTH, HEIGHT)] * 2).answer
+    assert not refused.estimate.has_offset
+    low_s, high_s = report_json(refused)["search_s"]
+    assert 22.0 < low_s < 27.0  # some common time of the 8 s is needed
+    assert 33.0 < high_s < 38.0
+    none = replace(refused, start=Start(AllOffsets(np.empty(0), np.empty(0), [], 0.0)))
+    assert report_json(none)["search_s"] == list(refused.config.interval_s)
+
+
 def test_clutter_is_told(answer):
     assert "clutter" not in report_text(answer)
     plain = report_json(answer)["clutter"]
@@ -341,6 +353,8 @@ def test_page_terminal_and_json_say_the_same_of_length_and_skew(result):
     assert "camera 2 lies at (" in report_text(near)
     report = report_json(near)
     assert (report["distance_m"], report["t"]) == (7.07, result.t.tolist())
+    unsure = "".join(check_page(page_of(changed(near, covariance=None))).text)
+    assert "7.07 m long as stated, of unknown accuracy" in unsure
     assert text.count("the clocks run alike, as far as this tells") == 1  # the last is near's
     assert "runs fast" not in text
     # A rate that was searched, of clocks whose skew has a prior of 0, has no deviation.
