@@ -81,6 +81,8 @@ def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
             "at no lag in the interval do both signals overlap by half and vary: check that both"
             " cameras recorded at a time, and search where they did (--search)"
         )
+        if len(lags_s) == 0:
+            reason = "no multiple of the bins' length lies in the interval: widen it (--search)"
         return replace(found, status=Status.NO_COMMON_SIGNAL, reason=reason)
     return replace(found, t_d_s=float(lags_s[np.nanargmax(curve)]))
 

@@ -146,9 +146,16 @@ def test_signals_that_are_constant_or_overlap_by_less_than_half_are_refused(flic
     events = np.zeros(4_000, EVENT_DTYPE)
     events["t"] = np.arange(4_000) * 1000 + 500
     far = replace(CLEAN, interval_s=(5.1, 6.0))  # of 10 s
-    for one, config in ((Observation(events), CLEAN), (flickering, far)):
+    within_a_bin = replace(CLEAN, interval_s=(0.001, 0.009))
+    apart, none = "overlap by half and vary", "no multiple of the bins' length lies in the interval"
+    for one, config, said in (
+        (Observation(events), CLEAN, apart),
+        (flickering, far, apart),
+        (flickering, within_a_bin, none),
+    ):
         estimate = correlations.zncc_e_of_events(one, one, config)
         assert estimate.status == "no_common_signal"
+        assert said in estimate.reason
         assert np.isnan(estimate.t_d_s)
 
 
