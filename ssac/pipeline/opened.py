@@ -138,7 +138,7 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
         cameras = rigs[0].cam1, *(one.cam2 for one in rigs)
         in_metres = all(one.in_metres for one in rigs)
         return Cameras(cameras, tuple(one.T_2_1 for one in rigs), str(path), in_metres)
-    if numbers not in (None, (1, 2)):
+    if numbers is not None and tuple(numbers) != (1, 2):
         raise SsacError(
             f"cameras: {numbers} are of a rig file, and none was given: give the rig of those two"
         )

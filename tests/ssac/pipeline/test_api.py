@@ -99,7 +99,8 @@ def test_every_kind_of_track_is_opened_as_the_same(kind, files):
 @pytest.mark.parametrize("kind", RIGS)
 def test_every_kind_of_rig_is_opened_as_the_same(kind, files):
     given = RIGS[kind](files)
-    for rig in (opened_rig(given, 2), Chain(EVENTS, given).rig):
+    numbered = (opened_rig(given, 2, numbers) for numbers in ((1, 2), [1, 2]))
+    for rig in (opened_rig(given, 2), *numbered, Chain(EVENTS, given).rig):
         assert all(same_camera(camera, CAMERA) for camera in rig.cameras)
         assert rig.pair(0, 1).T_2_1 is None
 
