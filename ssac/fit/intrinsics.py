@@ -97,7 +97,9 @@ def with_intrinsics(problem: Problem, scale_px: float = np.nan) -> Problem:
     for place, one in enumerate(uncertain_ones(problem.rig), problem.size):
         both = [np.zeros_like(problem.pairs.p1_px) for _ in moves]
         both[one.camera] = moves[one.camera][one.place]
-        columns.append(Column(both[0], both[1], is_of_camera=True))
+        shrinks = np.zeros(4)
+        shrinks[2 * one.camera + one.place % 2] = float(one.place < 2)
+        columns.append(Column(both[0], both[1], is_of_camera=True, shrinks=shrinks))
         priors.append(Prior(place, 0.0, one.deviation, scale_px))
     return replace(problem, columns=tuple(columns), priors=tuple(priors))
 

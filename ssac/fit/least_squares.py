@@ -60,6 +60,9 @@ class Column:
     at: float = 0.0  # value with which the points were sampled
     is_of_clock: bool = False  # a change of what camera 2's clock shows, as the offset is
     is_of_camera: bool = False  # an uncertain intrinsic of a camera
+    # (4,) shares by which a value of one shrinks axes u and v of images 1 and 2. Distances are in
+    # pixels as measured: in shrunk ones, any longer focal length would fit better.
+    shrinks: Array = field(default_factory=lambda: np.zeros(4))
 
 
 @dataclass(frozen=True)
@@ -206,16 +209,27 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
         value -= column.at
         p1, p2 = p1 + value * column.dp1_px, p2 + value * column.dp2_px
     F = epipolar.fundamental_from_pose(K1, K2, R, t)
-    dp2 = np.stack([pairs.v2_px_s, *(column.dp2_px for column in problem.columns)])
-    by_others = epipolar.sampson_derivative(F, p1, p2, dp2)
+    shrinks = np.array([column.shrinks for column in problem.columns]).reshape(-1, 4)
+    size1, size2 = np.split(1.0 - parameters.columns @ shrinks, 2)  # of both images' axes
+    F_own, own1, own2 = F, p1 / size1, p2 / size2  # in pixels as measured
+    if shrinks.any():
+        K1, K2 = K1 / np.append(size1, 1.0)[:, None], K2 / np.append(size2, 1.0)[:, None]
+        F_own = epipolar.fundamental_from_pose(K1, K2, R, t)
+    distances_px = epipolar.sampson_distance(F_own, own1, own2)
+    dp2 = np.stack([pairs.v2_px_s, *(column.dp2_px for column in problem.columns)]) / size2
+    by_others = epipolar.sampson_derivative(F_own, own1, own2, dp2)
     if problem.columns:
-        dp1 = np.stack([column.dp1_px for column in problem.columns])
-        by_others[1:] += epipolar.sampson_derivative(F.T, p2, p1, dp1)
-    by_pose = pose_jacobian(R, t, K1, K2, p1, p2, F)
+        dp1 = np.stack([column.dp1_px for column in problem.columns]) / size1
+        by_others[1:] += epipolar.sampson_derivative(F_own.T, own2, own1, dp1)
+    if shrinks.any():  # the lines' lengths, by which products are divided, change too
+        lines = [own2 @ F_own[:2, :2] + F_own[2, :2], own1 @ F_own[:2, :2].T + F_own[:2, 2]]
+        shares = np.hstack(lines) ** 2 / np.append(size1, size2)
+        shares /= np.sum(np.hstack(lines) ** 2, axis=1, keepdims=True)
+        by_others[1:] += distances_px * (shrinks @ shares.T)
+    by_pose = pose_jacobian(R, t, K1, K2, own1, own2, F_own)
     jacobian = np.column_stack([by_others[0], by_pose, by_others[1:].T])
     jacobian = pairs.weights[:, None] * jacobian
-    distances_px = pairs.weights * epipolar.sampson_distance(F, p1, p2)
-    return Residuals(problem, parameters, F, p1, p2, distances_px, jacobian)
+    return Residuals(problem, parameters, F, p1, p2, pairs.weights * distances_px, jacobian)
 
 
 def moved(parameters: Parameters, step: Array) -> Parameters:

@@ -120,14 +120,16 @@ def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
 
 
 def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differences():
-    """All columns are tried, one of which, a focal length, moves both views."""
+    """All columns are tried; one moves both views, another is the focal lengths of camera 2."""
     problem = rate_problem()
     weights = np.random.default_rng(1).uniform(0.5, 2.0, N)
     problem = replace(problem, pairs=replace(problem.pairs, weights=weights))
     centre = K[:2, 2]
     focal = Column(problem.pairs.p1_px - centre, 0.5 * (problem.pairs.p2_px - centre))
-    problem = replace(problem, columns=(*problem.columns, focal))
-    at = Parameters(T_D_S, SCENE.R, T, np.array([RATE, 0.01]))
+    of_2 = np.array([0.0, 0.0, 1.0, 1.0])
+    own = Column(np.zeros((N, 2)), centre - problem.pairs.p2_px, shrinks=of_2)
+    problem = replace(problem, columns=(*problem.columns, focal, own))
+    at = Parameters(T_D_S, SCENE.R, T, np.array([RATE, 0.01, 0.2]))
     analytic = linearise(problem, at).jacobian
     for place, step in enumerate(1e-6 * np.eye(problem.size)):
         upper, lower = (linearise(problem, moved(at, s)).distances_px for s in (step, -step))
@@ -136,8 +138,13 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
         assert np.allclose(analytic[:, place], numeric, atol=1e-4 * np.abs(numeric).max())
     pairs = problem.pairs
     expected = sampson_distance(fundamental_from_pose(K, K, SCENE.R, T), pairs.p1_px, pairs.p2_px)
-    unmoved = linearise(problem, replace(TRUTH, columns=np.zeros(2)))
+    unmoved = linearise(problem, replace(TRUTH, columns=np.zeros(3)))
     np.testing.assert_allclose(unmoved.distances_px, weights * expected)
+    # Distances stay those of pixels as measured where a focal length a fifth short is put right.
+    short = changed(changed(SCENE.rig.cam2, 0, -0.2), 1, -0.2)
+    mended = Problem(pairs, replace(SCENE.rig, cam2=short), FitRules(), columns=(own,))
+    found = linearise(mended, replace(TRUTH, columns=np.array([0.2])))
+    np.testing.assert_allclose(found.distances_px, weights * expected)
 
 
 def test_steps_that_run_out_are_said():
@@ -222,11 +229,12 @@ def test_exact_intrinsics_add_nothing():
 @pytest.mark.parametrize("pose_is_known", [False, True])
 def test_larger_deviations_state_larger_ones(pose_is_known):
     deviations = []
-    for factor in (0.0, 0.1, 0.3, 1.0, 3.0, 10.0):
+    for factor in (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0):
         rig = rig_of(0.001 * factor, 0.3 * factor)
         covariance = fitted(problem_of(rig, 0.3, pose_is_known=pose_is_known)).covariance()
         deviations.append(np.sqrt(np.diag(covariance)[: 1 if pose_is_known else 6]))
-    # The intrinsics absorb a part of the noise, which lessens the residuals by up to 2 %.
+    # The intrinsics absorb a part of the noise, which lessens the residuals by up to 2 %; no focal
+    # length becomes longer than it is, though nothing but the residuals would hold it.
     assert np.all(np.diff(deviations, axis=0) > -0.02 * np.array(deviations)[:-1])
     if not pose_is_known:
         # Ten times a good calibration's deviations outweigh this noise.
