@@ -37,7 +37,7 @@ tables: ## the paper's simulation tables, 300 recordings (half an hour from noth
 ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
 
-studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
+studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (three hours) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency oracle
 	@.venv/bin/ssac by-hand --first 2650
 

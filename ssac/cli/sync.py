@@ -123,7 +123,7 @@ OPTIONS = {
     ),
     "open_report": Option(flag("open", "Open the page of --report in a browser.")),
     "write_synced": file_option(
-        "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."
+        "Write camera 2's events (.h5, .npy, .txt) or track (.csv) on camera 1's clock."
     ),
     "trajectory": file_option(
         "Write the object's path in space: .csv (with deviations), else TUM."
@@ -213,7 +213,10 @@ def sync_command(
     files = _files([cam1, *filter(None, [cam2]), *(more or ())], given.topics)
     if rig is None:
         if not (cam1 / "cam1.h5").is_file():
-            raise SsacError("Missing option '--rig': give the calibration of the cameras")
+            raise SsacError(
+                "Missing option '--rig': give a Kalibr camchain or OpenCV's stereo YAML with the"
+                " intrinsics of the cameras; docs/sync.md has one to fill in"
+            )
         has_pose = choose_method(given.method, given.known_extrinsics).needs_extrinsics
         rig = cam1 / ("rig_extrinsics.yaml" if has_pose else "rig.yaml")
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2

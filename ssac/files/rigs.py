@@ -199,6 +199,12 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
             "asked for: give a Kalibr camchain of all cameras"
         )
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    for key in ("intrinsics_std", "readout_s"):
+        if not storage.getNode(key).empty():
+            raise SsacError(
+                f"{path}: {key} is a key of a Kalibr camchain's cameras, and this is OpenCV's file:"
+                " make a camchain of it (--write-rig), and add it there"
+            )
 
     def matrix(key: str) -> Array:
         node = storage.getNode(key)

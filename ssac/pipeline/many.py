@@ -149,6 +149,10 @@ class NetworkResult:
             "seconds": {part: round(value, 3) for part, value in self.seconds.items()},
         }
 
+    def plot(self, path: Path | str) -> list[Path]:
+        """Do what `plotted` does."""
+        return self.plotted(Path(path))
+
     def plotted(self, path: Path) -> list[Path]:
         """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give the files.
 

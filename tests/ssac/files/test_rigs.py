@@ -214,6 +214,7 @@ def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
     ("old", "new", "message"),
     [
         ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: mm", "length_unit: expected m or"),
+        ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nreadout_s: 0.02", "readout_s is a key of"),
         ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: 1", "length_unit: expected m or"),
         ("size: [ 346, 260 ]", "", "the image size is missing: add `size"),
         ("K2", "Q2", "expected a matrix K2"),

@@ -556,5 +556,5 @@ def test_many_cameras_have_a_page_and_figures_of_each_pair(recorded, tmp_path, m
     assert [pair["cameras"] for pair in data["pairs"]] == [[0, 1], [0, 2], [1, 2]]
     monkeypatch.setattr("ssac.pipeline.plots.save_figures", lambda target, _: [target])
     of_pairs = ["1-2", "1-3", "2-3"]
-    assert found.plotted(tmp_path) == [tmp_path / pair for pair in of_pairs]
+    assert found.plot(str(tmp_path)) == [tmp_path / pair for pair in of_pairs]
     assert found.plotted(tmp_path / "a.png") == [tmp_path / f"a-{pair}.png" for pair in of_pairs]
