@@ -13,6 +13,7 @@ name twice, so that a clean-up can tell what a killed process left from what ano
 A program that reads the HDF5 files with h5py imports hdf5plugin first, which has their codecs.
 """
 
+import errno
 import json
 import os
 import platform
@@ -67,6 +68,9 @@ def _host() -> str:
 _EVENTS_PER_CHUNK = 1 << 16
 _FRAMES_PER_CHUNK = 16  # compressed together: what stands still is stored once
 _MAX_CHUNK_BYTES = 1 << 24  # of frames
+_LINE_BYTES = 32  # at most, of an event as text: 13 characters of its time, 4 of a coordinate
+# HDF5 2.0 holds back 8 MB of each open dataset, here of frames and of one column; and its indices.
+_SPARE_BYTES = 17 << 20
 
 # As small as gzip after a byte shuffle, and seven times as fast: 28 ms for a million events.
 _EVENT_CODEC = hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE)
@@ -82,8 +86,10 @@ class CameraFiles:
         self, folder: Path, text: bool, camera: Camera, times_us: IntArray, exposure_s: float
     ) -> None:
         self.camera, self.n_events, self.n_frames = camera, 0, len(times_us)
+        self._folder = folder
         self._text_path = folder / f"{camera.name}.txt" if text else None
         self._events: list[NDArray[Any]] = []
+        _check_room(folder, times_us.nbytes)
         self.file = h5py.File(folder / f"{camera.name}.h5", "w")
         self.file.attrs["width"], self.file.attrs["height"] = camera.width, camera.height
         if not self.n_frames:
@@ -101,6 +107,7 @@ class CameraFiles:
         at = k % len(self._waiting)
         self._waiting[at] = image
         if at == len(self._waiting) - 1 or k == self.n_frames - 1:
+            _check_room(self._folder, self._waiting.nbytes)
             self._dataset[k - at : k + 1] = self._waiting[: at + 1]
 
     def add(self, events: NDArray[Any]) -> None:
@@ -111,6 +118,7 @@ class CameraFiles:
     def close(self) -> None:
         """Write the events and close the file."""
         if self._text_path is not None:
+            _check_room(self._folder, self.n_events * _LINE_BYTES)
             save_events_text(self.camera, self._events, self._text_path)
         about: dict[str, Any] = {"shape": (self.n_events,)}
         if self.n_events:
@@ -119,9 +127,21 @@ class CameraFiles:
             column = self.file.create_dataset(f"events/{name}", dtype=EVENT_DTYPE[name], **about)
             start = 0
             for block in self._events:  # not all at once, which would take as much memory again
+                _check_room(self._folder, block[name].nbytes)
                 column[start : start + len(block)] = block[name]
                 start += len(block)
         self.file.close()
+
+
+def _check_room(folder: Path, n_bytes: int) -> None:
+    """Raise OSError if these could fill the disk, which HDF5 answers by ending the process."""
+    free, needed = shutil.disk_usage(folder).free, n_bytes + _SPARE_BYTES
+    if free < needed:
+        raise OSError(
+            errno.ENOSPC,
+            f"{free} bytes are free on this disk, and {needed} are needed: make room, or name "
+            "another place",
+        )
 
 
 def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path) -> None:

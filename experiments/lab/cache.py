@@ -252,11 +252,11 @@ def _sha256(text: str) -> str:
 
 
 def recording_bytes(config: SimConfig) -> int:
-    """Bound a recording's size [bytes], since HDF5 ends the process if it fills the disk."""
+    """Estimate a recording's size [bytes] without noise, to refuse a full disk before any work."""
     frames = 0.1 * config.frames.rate_hz * config.resolution[0] * config.resolution[1]  # compressed
     events = 200_000.0  # a second: 60,000 events per camera, at 3 bytes each
     truth = 100_000.0
-    return round(config.spline.duration_s * (2.0 * (frames + events) + truth))
+    return round(config.duration_s * (2.0 * (frames + events) + truth))
 
 
 # --- Checks that an entry is as it was written ---

@@ -51,6 +51,7 @@ FILES = {
     "negative.toml": b"[fixed]\nsim.spline.duration_s = -1\n",
     "syntax.toml": b"title = \n",
     "latin.toml": b'title = "\xff"\n',
+    "flight.csv": b"".join(b"%d,0,0,1,0,0,0,1\n" % t for t in range(4)),
 }
 
 

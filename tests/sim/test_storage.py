@@ -1,7 +1,9 @@
 import json
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import h5py
@@ -165,6 +167,32 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
     with pytest.raises(expected):
         save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)
     assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["empty"]
+
+
+@pytest.mark.parametrize(
+    ("disk_mb", "n_events", "n_frames", "text"),
+    [(20, 0, 60, False), (19, 300_000, 0, False), (19, 100_000, 0, True), (16, 5, 1, False)],
+    ids=["frames", "events", "text", "full before"],
+)
+def test_hdf5_never_fills_a_disk(tmp_path, monkeypatch, disk_mb, n_events, n_frames, text):
+    """It writes much of what it is given at the end, and ends the process where it cannot."""
+    written = []
+
+    def disk_usage(folder):
+        written.append(sum(path.stat().st_size for path in folder.iterdir()))
+        return SimpleNamespace(free=disk_mb * 2**20 - written[-1])
+
+    def remove(folder, ignore_errors):
+        disk_usage(folder)  # its files are closed by now
+        removed(folder)
+
+    removed = shutil.rmtree
+    monkeypatch.setattr("sim.storage.shutil.disk_usage", disk_usage)
+    monkeypatch.setattr("sim.storage.shutil.rmtree", remove)
+    with pytest.raises(SimError, match=r"bytes are free on this disk, and .* needed: make room"):
+        save_recording(made_up_recording(n_events, n_frames), tmp_path / "out", {}, text=text)
+    assert max(written) < disk_mb * 2**20
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.render

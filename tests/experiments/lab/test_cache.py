@@ -11,12 +11,20 @@ import pytest
 
 from experiments.lab import cache as module
 from experiments.lab import grid
-from experiments.lab.cache import ASIDE, Cache, content, recording_key, run_key
+from experiments.lab.cache import (
+    ASIDE,
+    Cache,
+    content,
+    recording_bytes,
+    recording_key,
+    run_key,
+)
 from experiments.lab.code import ROOT
 from experiments.lab.grid import Cell
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
+from sim.scene.trajectory import SplineConfig
 from ssac.config import Config
 from ssac.errors import SsacError, WriteError
 from ssac.files.hdf5 import save_events_h5
@@ -58,6 +66,13 @@ def test_the_size_of_a_cache_leaves_out_what_another_run_moves(tmp_path, monkeyp
     (tmp_path / "kept").write_bytes(b"123")
     monkeypatch.setattr(os, "walk", lambda folder: [(str(folder), [], ["kept", "moved"])])
     assert Cache(tmp_path).size_bytes() == 3
+
+
+def test_a_recording_is_as_large_as_its_flight_is_long(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("".join(f"{t},0,0,1,0,0,0,1\n" for t in range(91)))
+    by_file = recording_bytes(SimConfig(trajectory_file=path))
+    assert by_file == recording_bytes(SimConfig(spline=SplineConfig(duration_s=90.0)))
 
 
 def test_a_mesh_counts_by_what_the_files_hold_that_it_names(tmp_path):
