@@ -8,13 +8,14 @@ import typer
 
 from experiments.lab.recorded import observations, rig_of
 from experiments.scenes.options import MAX_SEED
-from sim.recorded import Recording
+from sim.recorded import Flight, Recording, Truth
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
-from ssac.arrays import Array
-from ssac.camera import Rig, known_pose
+from ssac.arrays import Array, Events
+from ssac.camera import known_pose
 from ssac.cli.options import named, number
+from ssac.clock import Clock
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
@@ -38,7 +39,7 @@ SHOWN = (
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """Statistics of a recording at the true offset and with the true fundamental matrix F."""
+    """Statistics of a recording at the true clock and with the true fundamental matrix F."""
 
     speed_px_s: float  # median over both cameras
     n_valid: float  # sample times valid in both views
@@ -53,16 +54,16 @@ class SceneFigures:
 
 def scene_figures(recording: Recording) -> SceneFigures:
     """Return the statistics of a recording."""
-    rig = rig_of(recording, with_extrinsics=True)
-    return pair_figures(*observations(recording), rig, recording.truth.t_d_s)
+    return pair_figures(*observations(recording), recording)
 
 
-def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
-    """Return the statistics of a pair, by its true rig and offset; SsacError if nothing is seen."""
-    config = Config()
-    views = Chain((cam1, cam2), rig, config).views()
+def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneFigures:
+    """Return the statistics of a flight's first two cameras; SsacError if nothing is seen."""
+    config, rig, clock = Config(), rig_of(flight, with_extrinsics=True), _true_clock(flight.truth)
+    chain = Chain((cam1, cam2), rig, config)
+    views = chain.views().under(clock)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
-    pairs = views.pairs(t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]))
+    pairs = views.pairs(clock.t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]))
     if not pairs.valid.any(axis=1).all():
         raise SsacError(
             "no figures: at no sample time do both cameras see the drone well enough: fly longer, "
@@ -72,11 +73,10 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
     before, mean, after = (np.mean(of_offset) for of_offset in distances)
     times_s = pairs.times_s[1][pairs.valid[1]]
     velocities, widths = [], []
-    for motion, camera, shift_s in zip(
-        (views.motion1, views.motion2), (cam1, cam2), (0.0, t_d_s), strict=True
-    ):
-        velocities.append(motion.velocities_at(times_s + shift_s))
-        widths += _widths_px(camera, times_s + shift_s, config.half_window_s)
+    shown_s = times_s, views.on_clock_2(times_s, clock.t_d_s)
+    for k, (motion, at_s) in enumerate(zip(views.motions, shown_s, strict=True)):
+        velocities.append(motion.velocities_at(at_s))
+        widths += _widths_px(chain.clean(k).events, at_s, config.half_window_s)
     return SceneFigures(
         speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
         n_valid=float(np.count_nonzero(pairs.valid[1])),
@@ -113,9 +113,18 @@ def scene_table(figures: SceneFigures) -> str:
     return markdown_table(("quantity", "authors' sample", "ours"), rows)
 
 
-def _widths_px(camera: Observation, times_s: Array, half_window_s: float) -> list[float]:
+def _true_clock(truth: Truth) -> Clock:
+    """Return camera 2's clock, a jump of it as a step between two knots."""
+    jump = truth.drift.jump
+    knots_s = [] if jump is None else [np.nextafter(jump[0], 0.0), jump[0]]
+    strays_s = [] if jump is None else [0.0, jump[1]]
+    affine = truth.t_d_s, truth.drift.skew_ppm, truth.drift.t_ref_s
+    return Clock(*affine, np.array(knots_s), np.array(strays_s))
+
+
+def _widths_px(events: Events, times_s: Array, half_window_s: float) -> list[float]:
     """Return the width [px] of the event image around each time on the camera's clock."""
-    t_us, x = camera.events["t"], camera.events["x"]
+    t_us, x = events["t"], events["x"]
     first = np.searchsorted(t_us, (times_s - half_window_s) * 1e6)
     last = np.searchsorted(t_us, (times_s + half_window_s) * 1e6)
     ends = [np.quantile(x[a:b], _WIDTH_QUANTILES) for a, b in zip(first, last, strict=True)]

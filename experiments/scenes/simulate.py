@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.lab.cache import recording_bytes
 from experiments.lab.provenance import plain, versions
-from experiments.lab.recorded import check_mesh, rig_of
+from experiments.lab.recorded import check_mesh
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
@@ -103,8 +103,7 @@ def simulate_command(
             Observation(load_events_h5(out_dir / f"{camera.name}.h5").events)
             for camera in flight.rig.cameras[:2]
         )
-        rig = rig_of(flight, with_extrinsics=True)
-        typer.echo(scene_table(pair_figures(cam1, cam2, rig, flight.truth.t_d_s)))
+        typer.echo(scene_table(pair_figures(cam1, cam2, flight)))
 
 
 def drawable(config: SimConfig) -> SimConfig:
