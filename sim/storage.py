@@ -7,8 +7,8 @@ truth.json           offset, pose, trajectory, and what the recording was made w
 
 `record` simulates and writes each frame when its exposure closes; `save_recording` writes a
 recording that is in memory. Both give the same bytes. Until it is whole, the folder is named
-.NAME.HOST.PROCESS.RANDOM.partial in the nearest parent that exists. No process of any host gives a
-name twice, so that a clean-up can tell what a killed process left from what another still writes.
+.NAME.HOST.PROCESS.RANDOM.partial in `partial_parent`. No process of any host gives a name twice, so
+that a clean-up can tell what a killed process left from what another still writes.
 
 A program that reads the HDF5 files with h5py imports hdf5plugin first, which has their codecs.
 """
@@ -50,6 +50,15 @@ def partial_path(parent: Path, name: str) -> Path:
     """Return a path in `parent` at which to write what will be called `name`; each call differs."""
     unique = f"{_host()}.{os.getpid()}.{os.urandom(16).hex()}"
     return parent / f".{name[:_NAME_LENGTH]}.{unique}.partial"
+
+
+def partial_parent(out_dir: Path) -> Path:
+    """Return the folder itself where it is there, since it may be a disk of its own, or a parent.
+
+    Only an entry of one disk can be renamed to another.
+    """
+    out_dir = out_dir.resolve()
+    return next(folder for folder in (out_dir, *out_dir.parents) if folder.exists())
 
 
 @cache
@@ -155,11 +164,11 @@ def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path)
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
 
 
-def check_out_dir(out_dir: Path) -> None:
-    """Raise SimError when a path is a file, or a folder that is not empty."""
+def check_out_dir(out_dir: Path, ours: Path | None = None) -> None:
+    """Raise SimError when a path is a file, or a folder that holds anything but `ours`."""
     if out_dir.exists() and not out_dir.is_dir():
         raise SimError(f"{out_dir} is a file: name a folder to write the recording to")
-    if out_dir.is_dir() and any(out_dir.iterdir()):
+    if out_dir.is_dir() and any(path != ours for path in out_dir.iterdir()):
         raise SimError(f"{out_dir} is not empty: name a new folder, or empty it first")
 
 
@@ -256,12 +265,11 @@ def _whole_folder(out_dir: Path) -> Iterator[Path]:
     check_out_dir(out_dir)
     try:
         out_dir = out_dir.resolve()
-        existing = next(folder for folder in out_dir.parents if folder.exists())
-        partial = partial_path(existing, out_dir.name)
+        partial = partial_path(partial_parent(out_dir), out_dir.name)
         partial.mkdir()
         try:
             yield partial
-            check_out_dir(out_dir)  # the block may have taken minutes
+            check_out_dir(out_dir, partial)  # the block may have taken minutes
             if out_dir.is_dir():  # keep it: it may be somebody's working directory
                 for path in sorted(partial.iterdir()):
                     path.rename(out_dir / path.name)

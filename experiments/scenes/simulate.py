@@ -22,7 +22,7 @@ from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.rig import Rig, look_at_rig
 from sim.scene.trajectory import SplineConfig
-from sim.storage import Recorded, record
+from sim.storage import Recorded, partial_parent, record
 from ssac.cli.options import argument, with_options
 from ssac.cli.progress import compilation_told, progress
 from ssac.files.hdf5 import load_events_h5
@@ -93,8 +93,8 @@ def simulate_command(
         config = ManyCameras(**vars(config), n_cameras=n_cameras)
     check_folder(out_dir, recording_bytes(config) * n_cameras // 2)
     config = drawable(config)
-    existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
-    remove_left_over(existing, out_dir.name)  # from a run that was killed while writing
+    # From a run that was killed while writing.
+    remove_left_over(partial_parent(out_dir), out_dir.resolve().name)
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
     typer.echo(summary(recorded, out_dir))
     if given["figures"]:

@@ -195,9 +195,24 @@ def test_hdf5_never_fills_a_disk(tmp_path, monkeypatch, disk_mb, n_events, n_fra
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_that_is_there_needs_no_other_place(tmp_path):
+    """Its parent may be another disk, from which nothing can be renamed, or not be writable."""
+
+    def look(partial, _):
+        assert partial.parent == tmp_path / "out"
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    (tmp_path / "out").mkdir()
+    save_recording(made_up_recording(5, 1), tmp_path / "out", {}, write_more=look)
+    assert "truth.json" in contents(tmp_path / "out")
+
+
 @pytest.mark.render
-def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path):
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path, is_there):
     out = tmp_path / "out"
+    if is_there:
+        out.mkdir()
 
     def fill(share):
         out.mkdir(exist_ok=True)

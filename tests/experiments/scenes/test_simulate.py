@@ -86,8 +86,8 @@ def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
     near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
     preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
     arguments = [*FAST, "--seed", 2**32 - 1, *near, *preset]
-    left = made_by(tmp_path / "b", ended_process())  # by a run that was killed
-    left.mkdir()
+    for left in (tmp_path / "a" / "a", tmp_path / "b"):  # by runs that were killed
+        made_by(left, ended_process()).mkdir(parents=True)
     for name in ("a", "b"):
         simulate(tmp_path / name, *arguments)
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
