@@ -24,6 +24,7 @@ from ssac.pipeline.api import sync
 
 DEMO = drawable(SimConfig(angle_deg=90.0, t_d_s=0.05))  # 20 s, as in the paper
 METHODS = ("ssac", "tangency")
+FILES = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json", "truth.tum"}
 
 
 def demo_command(
@@ -36,7 +37,7 @@ def demo_command(
     from ssac.pipeline.plots import save_figures
 
     folder = out_dir / "recording"
-    if is_of_a_demo(folder):
+    if is_of_a_demo(folder, seed):
         shutil.rmtree(folder, ignore_errors=True)
     recorded = record_with_progress(DEMO, seed, folder)
     typer.echo(summary(recorded, folder))
@@ -55,11 +56,13 @@ def demo_command(
     typer.echo("\nwritten to " + ", ".join(map(str, written)))
 
 
-def is_of_a_demo(folder: Path) -> bool:
+def is_of_a_demo(folder: Path, seed: int) -> bool:
     """Whether a folder holds the recording of an earlier demo, and nothing of the user's."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-        return bool(truth["provenance"]["config"] == plain(DEMO))
+        made_with = truth["provenance"] | {"versions": None}
+        is_same = made_with == {"config": plain(DEMO), "seed": seed, "versions": None}
+        return is_same and FILES.issuperset(path.name for path in folder.iterdir())
     return False
 
 

@@ -43,16 +43,21 @@ def test_the_comparison_shows_estimate_truth_and_error():
 
 def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_path):
     folder = tmp_path / "recording"
-    assert not is_of_a_demo(folder)
+    assert not is_of_a_demo(folder, 0)
     folder.mkdir()
-    (folder / "truth.json").write_text(json.dumps({"provenance": {"config": plain(DEMO)}}))
-    assert is_of_a_demo(folder)
-    for other in ({"provenance": {"config": plain(SimConfig())}}, {"provenance": {}}, [], "x"):
-        (folder / "truth.json").write_text(json.dumps(other))
-        assert not is_of_a_demo(folder)
+    made_with = {"config": plain(DEMO), "seed": 0, "versions": {}}
+    (folder / "truth.json").write_text(json.dumps({"provenance": made_with}))
+    assert is_of_a_demo(folder, 0)
+    assert not is_of_a_demo(folder, 1)
+    (folder / "sync.json").write_text("mine")
     with pytest.raises(SimError, match="recording is not empty: name a new folder"):
         demo_command(tmp_path)
-    assert [path.name for path in folder.iterdir()] == ["truth.json"]
+    assert {path.name for path in folder.iterdir()} == {"truth.json", "sync.json"}
+    (folder / "sync.json").unlink()
+    others = ({"config": plain(SimConfig())}, {"disturbances": {}}, {"true_K": {}})
+    for other in (*({"provenance": made_with | one} for one in others), {"provenance": {}}, [], ""):
+        (folder / "truth.json").write_text(json.dumps(other))
+        assert not is_of_a_demo(folder, 0)
 
 
 def test_figures_are_those_of_the_truth():

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.lab import provenance
+from experiments.scenes.demo import FILES
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.simulate import simulate_command
 from sim.disturb import DisturbConfig
@@ -43,10 +44,9 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
     late = ["--t-d", 0.05, "--skew-ppm", 1000]
     said = simulate(plain, *FAST, *late, "--angle", 60, "--text", "--figures")
     assert "| median image speed [px/s] | 198 |" in " ".join(said.split())
-    assert {path.name for path in plain.iterdir()} == {
-        "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
-        "truth.json", "truth.tum",
-    }  # fmt: skip
+    files = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json", "truth.tum"}
+    assert files == FILES  # of a demo, which replaces no others
+    assert {path.name for path in plain.iterdir()} == {*files, "cam1.txt", "cam2.txt"}
     truth = truth_of(plain)
     assert truth["t_d_s"] == 0.05
     assert "disturbances" not in truth["provenance"]
