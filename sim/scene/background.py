@@ -9,6 +9,8 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.scene.rig import Camera
 
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of linear R, G, B (Rec. 709)
+
 
 def linear_from_srgb(srgb: FloatArray) -> FloatArray:
     """Undo the transfer function of IEC 61966-2-1; both values and light are 0 to 1."""
@@ -27,7 +29,7 @@ def load_background(path: Path, camera: Camera) -> Float32Array:
     """Read the linear luminance (height, width) of a static image that fills the camera's view.
 
     An integer image that OpenCV reads is taken as sRGB; a `.npy` file or a floating-point image
-    holds linear luminance in [0, 1]. SimError when it cannot be read, has another size than the
+    holds linear light in [0, 1]. SimError when it cannot be read, has another size than the
     camera, or values outside [0, 1].
     """
     luminance = _load_array(path) if path.suffix == ".npy" else _load_image(path)
@@ -58,10 +60,14 @@ def _load_array(path: Path) -> Float32Array:
 def _load_image(path: Path) -> Float32Array:
     if not path.is_file():
         raise SimError(f"cannot read the background {path}: there is no such file")
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    image = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise SimError(f"cannot read the background {path}: it is not an image")
-    if image.dtype.kind == "f":  # HDR formats hold linear light
-        return image.astype(np.float32)
-    srgb = image.astype(np.float64) / (255 if image.dtype == np.uint8 else 65535)
-    return linear_from_srgb(srgb).astype(np.float32)
+    if image.ndim == 3 and (image == image[..., :1]).all():  # a grey one that is stored as colours
+        image = image[..., 0]
+    light = image.astype(np.float64)
+    if image.dtype.kind != "f":  # HDR formats hold linear light
+        light = linear_from_srgb(light / (255 if image.dtype == np.uint8 else 65535))
+    if light.ndim == 3:
+        light = light[..., ::-1] @ LUMINANCE_WEIGHTS  # OpenCV's order is B, G, R
+    return np.ascontiguousarray(light, np.float32)

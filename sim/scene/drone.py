@@ -17,13 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
-from sim.scene.background import linear_from_srgb
+from sim.scene.background import LUMINANCE_WEIGHTS, linear_from_srgb
 from sim.scene.rig import Camera
 
 DEFAULT_SIZE_M = 0.65
 DEFAULT_ALBEDO = 0.25  # of a mesh file without colours: dark grey
 MIN_ALBEDO = 0.01  # a black face still reflects a little
-LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of linear R, G, B (Rec. 709)
 
 
 @dataclass(frozen=True)

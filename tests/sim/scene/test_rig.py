@@ -124,6 +124,21 @@ def test_images_are_srgb(tmp_path, dtype):
     assert steps.max() <= 2.3 * np.diff(srgb.ravel().astype(float)).max() / full
 
 
+@pytest.mark.parametrize("full", [np.uint8(255), np.uint16(65535), np.float32(1.0)])
+def test_colours_are_weighted_by_their_light(tmp_path, full):
+    path = tmp_path / ("wall.tiff" if full == 1.0 else "wall.png")
+    image = (full * rng().random((48, 64))).astype(full.dtype)
+    lights = []
+    for stored in (image, np.dstack([image] * 3)):  # grey either way
+        cv2.imwrite(str(path), stored)
+        lights.append(load_background(path, CAMERA))
+    np.testing.assert_array_equal(*lights)
+    # Rec. 709; OpenCV's order is blue, green, red.
+    for rgb, light in (((1, 0, 0), 0.2126), ((0, 1, 0), 0.7152), ((0, 0, 1), 0.0722)):
+        cv2.imwrite(str(path), np.full((48, 64, 3), full * np.array(rgb[::-1], full.dtype)))
+        np.testing.assert_allclose(load_background(path, CAMERA), light, rtol=1e-6)  # float32
+
+
 def test_arrays_and_images_of_floating_point_are_linear(tmp_path):
     image = noise_image(CAMERA)
     np.save(tmp_path / "wall.npy", image.astype(np.float64))
