@@ -231,8 +231,13 @@ class Faces:
 
 
 def piece_size_m(drone: Drone, camera: Camera, share: float = PIECE_OF_SIZE) -> float:
-    """Return the longest edge [m] that stays straight: a share of the size, inf if undistorted."""
-    return np.inf if camera.distortion_model == "none" else drone.size_m * share
+    """Return the longest edge [m] that stays straight: a share of the size, inf if undistorted.
+
+    The size is the height where that is larger: else a thin pole has millions of pieces.
+    """
+    heights_m = np.concatenate([part.vertices_B_m[:, 2] for part in drone.parts])
+    size_m = max(drone.size_m, float(np.ptp(heights_m)))
+    return np.inf if camera.distortion_model == "none" else size_m * share
 
 
 @contextmanager

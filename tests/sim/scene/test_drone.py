@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from sim.scene.drone import DEFAULT_ALBEDO, Joint, drone_from_file
+from sim.scene.drone import DEFAULT_ALBEDO, Joint, drone_from_file, part_faces, piece_size_m
 from sim.scene.flyers import (
     DRONES,
     FLAP_RAD,
@@ -15,6 +15,7 @@ from sim.scene.flyers import (
     two_tone,
 )
 from sim.twin.bench import printed
+from tests.sim.scenes import LENSES, box_drone, make_camera
 
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
 TWO_TONE += [0.00534553354, 0.00354055825, 0.000429919477, 0.00879122787]
@@ -110,6 +111,23 @@ def test_each_body_of_a_closed_mesh_faces_outward(tmp_path, suffix):
     (part,) = from_file(trimesh.util.concatenate([body, arm]), tmp_path / f"two.{suffix}").parts
     volumes = [one.volume for one in as_mesh(part).split()]
     np.testing.assert_allclose(sorted(volumes), [0.008, 0.3], rtol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_thin_pole_is_split_into_few_pieces_along_it(lens):
+    pole = box_drone((0.005, 0.005, 0.6))
+    piece_m = piece_size_m(pole, make_camera(lens))
+    faces = part_faces(pole.parts[0], piece_m)
+    edges_m = np.linalg.norm(np.diff(faces.corners_m, axis=1), axis=-1)
+    assert edges_m.max() <= piece_m * (1.0 + 1e-6)  # float32
+    assert len(faces.albedo) < 2000  # by the width it would be some millions
+
+
+@pytest.mark.parametrize(
+    "drone", [*map(built_in_drone, DRONES), printed(), quadrotor(rotor_hz=40.0)]
+)
+def test_pieces_of_what_is_flat_are_a_share_of_its_width(drone):
+    assert piece_size_m(drone, make_camera("radtan"), 0.25) == 0.25 * drone.size_m
 
 
 def test_open_mesh_shows_both_sides(tmp_path):
