@@ -60,7 +60,7 @@ def footprint(
         )
         depths_m = points_W @ camera.T_C_W[2, :3] + camera.T_C_W[2, 3]
         pixels = camera.project(points_W)
-        _refuse_if_cut(camera, pixels, times_s[chunk])
+        _refuse_if_cut(drone, camera, pixels, times_s[chunk])
         at = np.ascontiguousarray(pixels.transpose(2, 0, 1))  # NumPy reduces it twice as fast
         dx, dy = np.diff(at, axis=1, prepend=at[:, :1] if last_px is None else last_px)
         moved = np.sqrt((dx**2 + dy**2).max(axis=1))
@@ -88,7 +88,7 @@ def _parts_in_world(drone: Drone, times_s: FloatArray, T_W_B: FloatArray) -> Flo
     return np.stack([T_W_B @ joint.transforms(times_s) if joint else T_W_B for joint in joints])
 
 
-def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> None:
+def _refuse_if_cut(drone: Drone, camera: Camera, pixels: FloatArray, times_s: FloatArray) -> None:
     """Raise SimError if, in view, some of the outline has no image or one too far outside."""
     imaged = np.isfinite(pixels[..., 0])
     cut = imaged.any(axis=1) & ~imaged.all(axis=1)
@@ -101,7 +101,8 @@ def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> N
     for time_s in times_s[cut][in_view][:1]:
         raise SimError(
             f"{camera.name}: at {time_s:.3f} s the drone reaches into the camera, where it has no "
-            "image: keep the trajectory further from the camera"
+            "image: keep the trajectory further from the camera (--spread, --distance), or take a "
+            f"drone smaller than {drone.size_m:g} m (--drone-size)"
         )
 
 

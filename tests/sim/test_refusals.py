@@ -172,6 +172,7 @@ CASES = [
         ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
         ({"drone_file": Path("missing.stl"), "drone_size_m": 0.0}, "number of metres, got 0"),
         ({"distance_m": 0.5}, "reaches into the camera"),
+        ({"drone_size_m": 20.0}, r"--distance\), or take a drone smaller than 20 m \(--drone-size"),
     )),
     (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),
     # The drone, 4 m wide and 0.1 m before a lens of 5000 px, reaches 100,000 px beside the view.
