@@ -6,6 +6,7 @@ import numpy as np
 
 from sim.arrays import FloatArray
 from sim.errors import SimError, check_numbers
+from sim.render.gl_context import check_backend
 from sim.render.lattice import Lattice
 from sim.scene.rig import Camera
 
@@ -28,6 +29,7 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if self.renderer not in RENDERERS:
             raise SimError(f"unknown renderer {self.renderer!r}: use one of {', '.join(RENDERERS)}")
+        check_backend(self.backend)
         if not 0.0 <= self.ambient <= 1.0:
             raise SimError(f"ambient light: expected 0 to 1, got {self.ambient}")
         if not (np.isfinite(self.light_W).all() and np.any(self.light_W)):

@@ -16,6 +16,8 @@ from sim.errors import SimError
 BACKENDS = {"osmesa": "OSMesa", "egl": "EGL"}
 """The backends and their libraries, in order of preference."""
 
+_OR_WITHOUT = "or use --no-check with --renderer native"
+
 
 @dataclass(frozen=True)
 class GLContext:
@@ -26,19 +28,26 @@ class GLContext:
     version: str  # of OpenGL and the driver
 
 
+def check_backend(backend: str) -> None:
+    """Raise SimError unless a backend is "auto" or has one of the names of `BACKENDS`."""
+    if backend not in ("auto", *BACKENDS):
+        raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
+
+
 def open_context(backend: str = "auto") -> GLContext:
     """Open the GL context of this process, or return the one that is open.
 
     SimError without a usable GL library, or when this process draws with the other backend.
     """
-    if backend not in ("auto", *BACKENDS):
-        raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
+    check_backend(backend)
     bound = os.environ.get("PYOPENGL_PLATFORM")  # set below, or by the user
     chosen = bound if bound in BACKENDS else _first_available() if backend == "auto" else backend
     if backend not in ("auto", chosen):
         raise SimError(
             f"GL backend {backend}: this process already draws with {chosen}; "
             "use the other backend in a process of its own"
+            if _KEEP_ALIVE
+            else f"GL backend {backend}: PYOPENGL_PLATFORM is {chosen}: unset it, or set {backend}"
         )
     return _open(chosen)
 
@@ -57,7 +66,8 @@ def _first_available() -> str:
             return backend
     raise SimError(
         "no GL library on this machine: install one with "
-        "`apt-get install libosmesa6` or `apt-get install libegl1 libgl1 libegl-mesa0`"
+        "`apt-get install libosmesa6` or `apt-get install libegl1 libgl1 libegl-mesa0`, "
+        + _OR_WITHOUT
     )
 
 
@@ -79,10 +89,15 @@ def _open(backend: str) -> GLContext:
         _KEEP_ALIVE.append(OffscreenRenderer(1, 1))
         about = (GL.glGetString(of).decode() for of in (GL.GL_RENDERER, GL.GL_VERSION))
         return GLContext(backend, *about)
+    except ModuleNotFoundError as error:
+        raise SimError(
+            f"pyrender, which draws with OpenGL, is not installed ({error}): install it, "
+            + _OR_WITHOUT
+        ) from error
     except Exception as error:  # whatever the driver, PyOpenGL or ctypes raise
         raise SimError(
             f"cannot open a GL context with {backend} ({type(error).__name__}: {error}): "
-            "install libosmesa6, or libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri"
+            "install libosmesa6, or libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri, " + _OR_WITHOUT
         ) from error
 
 

@@ -152,6 +152,7 @@ CASES = [
     (lambda: RenderConfig(renderer="blender"), "'blender': use one of native, pyrender"),
     *((lambda s=s: RenderConfig(ambient=s), "ambient light: expected 0 to 1")
       for s in (-0.1, 1.1, NAN)),
+    (lambda: RenderConfig(backend="foo", check=False), "expected auto, osmesa or egl, got 'foo'"),
     *((lambda d=d: RenderConfig(light_W=d), "light_W: expected a finite direction")
       for d in ((0.0, 0.0, 0.0), (NAN, 0.0, 1.0))),
     *((lambda b=b: open_context(b), "GL backend: expected auto, osmesa or egl, got")

@@ -274,6 +274,15 @@ def test_one_process_one_backend():
         open_context(other)
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_platform_that_the_user_has_set_is_named(monkeypatch, backend):
+    monkeypatch.setattr("sim.render.gl_context._KEEP_ALIVE", [])  # nothing has been drawn
+    monkeypatch.setenv("PYOPENGL_PLATFORM", backend)
+    (other,) = set(BACKENDS) - {backend}
+    with pytest.raises(SimError, match=f"PYOPENGL_PLATFORM is {backend}: unset it, or set"):
+        open_context(other)
+
+
 def test_osmesa_comes_first_and_egl_next(monkeypatch):
     installed = {"OSMesa", "EGL"}
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)  # nothing has been chosen yet
@@ -284,7 +293,7 @@ def test_osmesa_comes_first_and_egl_next(monkeypatch):
     for library, backend in (("OSMesa", "osmesa"), ("EGL", "egl")):
         assert open_context() == backend
         installed.remove(library)
-    with pytest.raises(SimError, match="no GL library on this machine: install one with"):
+    with pytest.raises(SimError, match=r"no GL library .*: install one with .*, or use --no-check"):
         open_context()
     for backend in BACKENDS:  # chosen by the user beforehand
         monkeypatch.setenv("PYOPENGL_PLATFORM", backend)
@@ -295,10 +304,19 @@ def test_osmesa_comes_first_and_egl_next(monkeypatch):
 def test_a_library_that_does_not_load(backend, monkeypatch):
     """A driver that is asked for by name, but missing or broken, is refused in one clear line."""
     monkeypatch.setenv("PYOPENGL_PLATFORM", backend)
-    monkeypatch.setitem(sys.modules, "OpenGL.contextdata", None)
-    said = rf"^cannot open a GL context with {backend} \(.*: install libosmesa6, or libegl1 .*$"
+    broken = Mock(side_effect=ImportError("Unable to load OpenGL library"))
+    monkeypatch.setattr("pyrender.offscreen.OffscreenRenderer", broken)
+    said = rf"^cannot open a GL context with {backend} \(.*: install libosmesa6, .*use --no-check"
     with pytest.raises(SimError, match=said):
         _open.__wrapped__(backend)
+
+
+def test_a_package_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "osmesa")
+    monkeypatch.setitem(sys.modules, "pyrender.offscreen", None)
+    said = r"^pyrender, which .*, is not installed \(.*: install it, or use --no-check"
+    with pytest.raises(SimError, match=said):
+        _open.__wrapped__("osmesa")
 
 
 # --- The native renderer ------------------------------------------------------------------------
