@@ -4,7 +4,7 @@ Such an option takes its type and default from the field, so that option and fie
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
@@ -18,7 +18,7 @@ from sim.recorded import MAX_SKEW_PPM
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from sim.scene.flyers import DRONES
-from sim.sensor.events import PRESETS
+from sim.sensor.events import PRESETS, SensorConfig
 from ssac.cli.options import Option, flag, named, number
 
 MAX_SEED = 2**32 - 1
@@ -27,6 +27,7 @@ Changed = TypeVar("Changed")
 
 _IDEAL = "ideal"
 _DISTURB = "disturb."
+_THRESHOLDS = ("threshold_on", "threshold_off")  # options of their own, not of --effect
 _ON = SimConfig().sensor.threshold_on
 
 
@@ -79,7 +80,9 @@ OPTIONS: Mapping[str, SimOption] = {
         "FILE", "CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."
     )),
     "drone": _own(str, SimConfig.drone, named("NAME", f"{', '.join(DRONES)}, or a mesh file.")),
-    "drone_size": _of("drone_size_m", number("Largest extent of the drone.", 0.01, 100, "metres")),
+    "drone_size": _of("drone_size_m", number(
+        "Largest horizontal extent of the drone.", 0.01, 100, "metres"
+    )),
     "rotor_hz": _of(
         "rotor_hz", number("Turns per second of a quadrotor's rotors.", -1000, 1000, "hertz")
     ),
@@ -100,7 +103,7 @@ OPTIONS: Mapping[str, SimOption] = {
         -10, 10, metavar="K K K K"), "distortion_coeffs",
     ),
     "background": _own(list[Path] | None, None, named(
-        "FILE", "Image behind the drone: give one for all cameras, or one for each."),
+        "FILE", "Image behind the drone: give one for all cameras, or one for each of two."),
         "background_files",
     ),
     "background_luminance": _of(
@@ -113,7 +116,7 @@ OPTIONS: Mapping[str, SimOption] = {
         "Illuminance of the scene, on which the sensor's effects depend.", 1e-3, 1e6, "lux"
     )),
     "effect": _own(list[str] | None, None, named(
-        "NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
+        "NAME=VALUE", "Set one effect of the sensor, overriding the preset and --noise; names in "
         "docs/sensor.md. May be given several times."
     )),
     "noise": _own(str, _IDEAL, named(
@@ -159,7 +162,8 @@ OPTIONS: Mapping[str, SimOption] = {
     )),
     "lattice": _own(
         tuple[int, int], (SimConfig().render.lattice.a, SimConfig().render.lattice.b), number(
-        "Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"
+            "Supersampling: a*a + b*b samples per pixel, a above 0, b = 0 or 1.", 0, 31,
+            metavar="A B",
     )),
     "renderer": _of(
         "render.renderer", named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL).")
@@ -213,20 +217,22 @@ def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
         )
     ideal = SensorPreset(PRESETS[noise], SensorEffects())
     start = ideal if preset is None else SENSOR_PRESETS[preset]
-    thresholds = {name: options[name] for name in ("threshold_on", "threshold_off")}
+    thresholds = {name: options[name] for name in _THRESHOLDS}
     given = {name: value for name, value in thresholds.items() if value is not None}
     changes = dict(_parsed(effect) for effect in options["effect"] or ())
     if options["illuminance"] is not None:
         if "illuminance_lux" in changes:
             raise SimError("--illuminance and --effect illuminance_lux are one: leave one out")
         changes["illuminance_lux"] = options["illuminance"]
+    given |= {name: changes.pop(name) for name in list(changes) if hasattr(SensorConfig, name)}
     return SensorPreset(replace(start.sensor, **given), replace(start.effects, **changes))
 
 
 def _parsed(effect: str) -> tuple[str, Any]:
-    """Parse NAME=VALUE, where the name is a field of `SensorEffects`."""
+    """Parse NAME=VALUE, where the name is a field of `SensorEffects`, or of the sensor itself."""
     name, equals, text = (part.strip() for part in effect.partition("="))
-    types = {one.name: type(getattr(SensorEffects(), one.name)) for one in fields(SensorEffects)}
+    known = vars(SensorEffects()) | vars(SensorConfig())
+    types = {field: type(value) for field, value in known.items() if field not in _THRESHOLDS}
     if not equals or name not in types:
         raise SimError(
             f"--effect: expected NAME=VALUE with a name of {', '.join(types)}, got {effect!r}"

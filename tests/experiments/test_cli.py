@@ -98,7 +98,10 @@ FILES = {
             ("--preset evk4 --noise davis346", "leave one out"),
             ("--noise loud", "expected one of ideal, davis346, got 'loud'"),
             ("--effect latency=1", "expected NAME=VALUE with a name of illuminance_lux"),
-            ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # a sensor field, no effect
+            ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # an option of its own
+            ("--effect refractory_s=late", "--effect refractory_s: expected a number, got 'late'"),
+            ("--gl foo --no-check", "GL backend: expected auto, osmesa or egl, got 'foo'"),
+            ("--lattice 32 1", "--lattice: expected 0 to 31, got 32"),
             ("--effect latency_s=late", "--effect latency_s: expected a number, got 'late'"),
             ("--effect hot_clusters=1.5", "expected a whole number, got '1.5'"),
             ("--illuminance 9 --effect illuminance_lux=8", "are one: leave one out"),

@@ -150,8 +150,8 @@ def test_options_take_the_place_of_the_presets_values():
     assert ideal.effects.is_none
     assert noisy.sensor == PRESETS["davis346"]
     given = {"preset": "davis346-dim", "threshold_on": 0.1, "illuminance": 2.0,
-             "effect": ["latency_s=2e-3", "hot_clusters = 7"]}  # fmt: skip
+             "effect": ["latency_s=2e-3", "hot_clusters = 7", "refractory_s=1e-3"]}  # fmt: skip
     made, preset = chosen_sensor(DEFAULTS | given), SENSOR_PRESETS["davis346-dim"]
-    assert made.sensor == replace(preset.sensor, threshold_on=0.1)
+    assert made.sensor == replace(preset.sensor, threshold_on=0.1, refractory_s=1e-3)
     changed = {"illuminance_lux": 2.0, "latency_s": 2e-3, "hot_clusters": 7}
     assert made.effects == replace(preset.effects, **changed)
