@@ -5,6 +5,7 @@ The names of a csv file's columns may include the sensor's size as faery writes 
 """
 
 import csv
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -84,11 +85,11 @@ def _read_table(
     try:
         with (
             np.errstate(invalid="ignore"),  # the error says the same
+            warnings.catch_warnings(),
             pd.read_csv(
                 path,
                 sep=separator,
-                names=columns,
-                usecols=list("txyp"),
+                names=columns,  # all are read: with a selection, fields beyond them would be lost
                 dtype=dict.fromkeys("xyp", np.int64)
                 | {"t": np.float64 if in_seconds else np.int64},
                 skiprows=int(has_header),
@@ -97,6 +98,8 @@ def _read_table(
                 index_col=False,
             ) as reader,
         ):
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # a longer first line
+            warnings.simplefilter("ignore", pd.errors.DtypeWarning)  # of further columns
             for table in reader:
                 t, x, y, p = (table[field].to_numpy() for field in "txyp")
                 if in_seconds:
@@ -104,7 +107,7 @@ def _read_table(
                 blocks.append(events_from_arrays(t, x, y, p, name=str(path)))
     except SsacError:
         raise
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
         raise SsacError(
             f"{path}: every line must be {', '.join(columns)[:60]} in whole numbers"
             f", t in {'seconds' if in_seconds else 'microseconds'} ({brief(error)}): complete or "
