@@ -76,7 +76,12 @@ def load_frames(
         times, images = (_dataset(file, f"frames/{name}", path) for name in ("t", "images"))
         if times is None or images is None:
             return None
-        refuse_damaged(path, [*_signs_of_loss(times), *_signs_of_loss(images)], STRICT)
+        lost = [*_signs_of_loss(times), *_signs_of_loss(images)]
+        if lost:
+            raise SsacError(
+                f"{path}: its frames are damaged: {'; '.join(lost)}: copy or record it again, or"
+                " use a method for events"
+            )
         if images.ndim != 3 or images.dtype != np.uint8 or times.shape != images.shape[:1]:
             raise SsacError(
                 f"{path}: expected frames/images as (n, height, width) uint8 with n times in "

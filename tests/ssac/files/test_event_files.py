@@ -492,3 +492,14 @@ def test_unusable_frames_are_refused(tmp_path, times_us, images, message):
     write_frames(tmp_path / "cam1.h5", times_us, images)
     with pytest.raises(SsacError, match=message):
         hdf5.load_frames(tmp_path / "cam1.h5")
+
+
+def test_lost_frames_are_refused_without_the_advice_to_allow_damage(tmp_path):
+    path = tmp_path / "cam1.h5"
+    with h5py.File(path, "w") as file:
+        file["frames/t"] = np.arange(8)
+        images = file.create_dataset("frames/images", (8, 4, 5), np.uint8, chunks=(2, 4, 5))
+        images[:4] = 7
+    message = r"2 of 4 blocks of frames/images are lost: .*, or use a method for events$"
+    with pytest.raises(SsacError, match=message):
+        hdf5.load_frames(path)
