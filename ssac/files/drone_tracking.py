@@ -60,6 +60,9 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
         rows = _LINE.findall(listing.read_text(encoding="utf-8"))
     if not rows:
         raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
+    for _, model in rows:
+        if model == ".." or Path(model).name != model:  # it names a file of the calibrations
+            raise SsacError(f"{listing}: expected a camera's name, got {model!r}: correct it")
     numbers = [k for k, _ in rows]
     if len(set(numbers)) < len(numbers):
         raise SsacError(f"{listing}: cam{mode(numbers)} is there twice: leave one out")

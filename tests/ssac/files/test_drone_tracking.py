@@ -122,6 +122,10 @@ PHONE = "../calibration/phone/phone.json"
     [
         ("cameras.txt", "nothing", "expected lines like"),
         ("cameras.txt", "cam0 - phone\ncam0 - phone\n", "cam0 is there twice"),
+        *(
+            ("cameras.txt", f"cam0 - {name}\n", f"expected a camera's name, got '{name}'")
+            for name in ("../../secret", "/secret", "..", ".", "phone/.")
+        ),
         ("detections/cam0.txt", "inf 5 5\n", "a frame's number is not finite"),
         ("detections/cam0.txt", "1 2 three\n", "expected lines `frame x y`"),
         ("detections/cam0.txt", "1 0 0\n", "the object is seen in no frame"),
