@@ -72,7 +72,7 @@ def bag_of(path: Path) -> tuple[Path, str] | None:
     """Split a path into an existing bag and a topic, "" if none is named; None if it has no bag."""
     for bag in (path,) if path.exists() else path.parents:
         is_named = bag.name.lower().removesuffix(_COMPRESSED).endswith(BAG_SUFFIXES)
-        if (is_named and bag.is_file()) or (bag / _METADATA).is_file():
+        if (is_named and bag.is_file()) or _metadata(bag):
             return bag, "/".join(path.relative_to(bag).parts)
     return None
 
@@ -181,9 +181,16 @@ def _reader(bag: Path) -> Any:
 
 def _has_compressed_messages(bag: Path) -> bool:
     """Whether metadata beside a ROS 2 file say that messages are compressed; the file does not."""
-    about = bag.with_name(_METADATA)
-    text = about.read_text(encoding="utf-8", errors="replace") if about.is_file() else ""
-    return re.search(r"compression_mode: *\W?message", text, re.IGNORECASE) is not None
+    mode = r"compression_mode: *\W?message"
+    return re.search(mode, _metadata(bag.parent), re.IGNORECASE) is not None
+
+
+def _metadata(folder: Path) -> str:
+    """Return the metadata of a ROS 2 bag's folder; empty if it has none of a bag."""
+    about = folder / _METADATA
+    with readable(about, _READABLE):
+        text = about.read_text(encoding="utf-8", errors="replace") if about.is_file() else ""
+    return text if "rosbag2_bagfile_information" in text else ""
 
 
 def _is_ros1(bag: Path) -> bool:

@@ -13,7 +13,7 @@ from ssac.camera import Camera
 from ssac.events import events_from_arrays
 from ssac.files.damage import Reading, readable
 from ssac.files.hdf5 import save_events_h5
-from ssac.files.ros_bags import topic_of
+from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.text import save_events_text
 from ssac.files.track_files import is_track_file, load_track
 from ssac.pipeline.opened import Recording
@@ -182,6 +182,14 @@ def test_the_only_topic_of_events_is_taken_by_itself_and_else_that_of_points(kin
     bag = write_bag(tmp_path / f"b{kind}", {"/seen": points(TRACK)})
     assert is_track_file(bag)
     assert len(load_track(bag)) == len(TRACK)
+
+
+def test_metadata_of_something_else_make_no_bag_of_a_folder(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("camera: left\n")
+    assert bag_of(tmp_path) is None
+    for path in (tmp_path, tmp_path / "missing.h5"):
+        with pytest.raises(SsacError, match=r"is a folder: give|there is no such file"):
+            load_events(path)
 
 
 def other_size(messages):
