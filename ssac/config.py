@@ -153,11 +153,11 @@ def validated(config: Config | None) -> Config:
     config = Config() if config is None else config
     if not isinstance(config, Config):
         raise SsacError(f"config: expected a ssac.Config, got {type(config).__name__} {config!r}")
-    for name, bounds in (("interval_s", config.interval_s), ("rates", config.rates)):
+    for name, bounds in (("interval_s", config.interval_s), ("rates (--rate-range)", config.rates)):
         if bounds is not None and not _are_bounds(bounds):
             raise SsacError(f"{name} must be two finite numbers in ascending order, got {bounds!r}")
     if config.rates is not None and not config.rates[0] > 0.0:
-        raise SsacError(f"rates must be positive, got {config.rates!r}")
+        raise SsacError(f"rates must be positive, got {config.rates!r}: correct --rate-range")
     for name, word, words in (
         ("robust", config.robust, ("lmeds", "magsac")),
         ("clock", config.clock, CLOCKS),

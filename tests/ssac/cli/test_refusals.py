@@ -119,7 +119,8 @@ TRACKS = [
     ("cam1.csv --rig slow.yaml", "readout_s is 50 ms, but frames follow each other in"),
     ("cam1.csv --rig wrong.yaml", "give seconds"),
     ("cam1.csv --search-all --search -1 1", "--search: not with"),
-    ("cam1.csv --rate-range 2 1", "ascending order"),
+    ("cam1.csv --rate-range 2 1", r"rates \(--rate-range\) must be .* in ascending order"),
+    ("cam1.csv --rate-range -1 2", "rates must be positive, .*: correct --rate-range"),
     ("cam1.csv --estimate-readout --method ssac", "takes shutters as the rig says: use joint"),
     *(
         (f"cam1.csv --method {method}", "is a track of points; .*use joint")
