@@ -63,8 +63,9 @@ def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneF
     chain = Chain((cam1, cam2), rig, config)
     views = chain.views().under(clock)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
-    pairs = views.pairs(clock.t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]))
-    if not pairs.valid.any(axis=1).all():
+    seen, offsets_s = [chain.clean(k).events for k in range(2)], [-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]
+    pairs = views.pairs(clock.t_d_s + np.array(offsets_s)) if all(map(len, seen)) else None
+    if pairs is None or not pairs.valid.any(axis=1).all():
         raise SsacError(
             "no figures: at no sample time do both cameras see the drone well enough: fly longer, "
             "nearer or by a larger drone"
@@ -76,7 +77,7 @@ def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneF
     shown_s = times_s, views.on_clock_2(times_s, clock.t_d_s)
     for k, (motion, at_s) in enumerate(zip(views.motions, shown_s, strict=True)):
         velocities.append(motion.velocities_at(at_s))
-        widths += _widths_px(chain.clean(k).events, at_s, config.half_window_s)
+        widths += _widths_px(seen[k], at_s, config.half_window_s)
     return SceneFigures(
         speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
         n_valid=float(np.count_nonzero(pairs.valid[1])),

@@ -12,7 +12,7 @@ from ssac import Answer, Config, PointTrack, load_rig
 from ssac.camera import Rig, with_deviations
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import tangency
-from ssac.pipeline.api import chain_of
+from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
@@ -188,7 +188,7 @@ def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right(tmp_p
 
 def test_a_camera_without_sightings_of_its_own_is_left_out_of_the_network():
     seen = [PointTrack(one.times_s, one.points_px) for one in make_flight(3).seen]
-    chain = chain_of(seen, [OF_FLIGHTS] * 3)
+    chain = Chain(seen, [OF_FLIGHTS] * 3)
     pairs = {pair: chain.answer(None, *pair) for pair in ((0, 1), (0, 2))}
     one, other = pairs[0, 2].cleans
     none = replace(other, track=PointTrack(np.empty(0), np.empty((0, 2))))
