@@ -4,6 +4,7 @@ Where the data are available, the path of the first flight is estimated from the
 """
 
 import os
+import re
 from itertools import combinations
 from pathlib import Path
 from shutil import copy
@@ -40,23 +41,24 @@ def folder(tmp_path: Path) -> Path:
         (PAIRS, "\n1,0,3,", "\n1,0,9,", "its rows are not all pairs"),
         (PAIRS, ",ok,affine,", ",fine,affine,", "real_pairs.csv, row 0: status is fine"),
         (PAIRS, ",ok,affine,", ",ok,bent,", "real_pairs.csv, row 0: clock is bent"),
-        (PAIRS, ",ok,affine,-0.567791,", ",ok,affine,,", "(1, 0, 1) is answered without t_d_s"),
+        (PAIRS, ",ok,affine,[^,]+,", ",ok,affine,,", "(1, 0, 1) is answered without t_d_s"),
         (PAIRS, ",ok,affine,", ",clock_jump,affine,", "(1, 0, 1) is refused, and"),
-        (PAIRS, ",20.51257\n", ",21.51257\n", "(1, 0, 1): closure_ms is 21.51257 in the pairs"),
+        (PAIRS, r"(\n1,0,1,.*,)[\d.]+\n", r"\g<1>9\n", "(1, 0, 1): closure_ms is 9.0 in the pai"),
         (TRIPLES, "\n1,0-1-2,", "\n1,0-1-9,", "not each triple"),
-        (TRIPLES, "1,0-1-3,-20.51257", "1,0-1-3,-41", "(1, 0, 1): closure_ms is 20.51257"),
+        (TRIPLES, r"1,0-1-3,-[\d.]+", "1,0-1-3,-41", "(1, 0, 1): closure_ms is 20."),
         (STRAYS, "\n2,0,1,0.0333667,-", "\n2,0,1,0.0333667,-9", "the strays of (2, 0, 1)"),
         (STRAYS, "\n2,0,1,5.0409629,", "\n2,0,1,6.0409629,", "the knots of (2, 0, 1)"),
         (STRAYS, "\n2,0,1,", "\n2,0,9,", "it has pairs that are none: (2, 0, 9)"),
         (PATHS, "\n2,", "\n3,", "real_paths.csv has not each data set once"),
-        (PATHS, ",0.038300288,", ",0.018,", "real_paths.csv, row 0: mean_m is above rmse_m"),
-        (PATHS, ",0.15891153,", ",0.01,", "real_paths.csv, row 0: rmse_m is above max_m"),
+        (PATHS, r"(\n1,4,,)[\d.]+", r"\g<1>0.018", "real_paths.csv, row 0: mean_m is above rmse_m"),
+        (PATHS, r"(\n1,4,,(?:[\d.]+,){3})[\d.]+", r"\g<1>0.01", "real_paths.csv, row 0: rmse_m is"),
     ],
 )
 def test_what_makes_no_sense_is_found(folder, name, old, new, fault) -> None:
     text = (folder / f"{name}.csv").read_text()
-    assert old in text
-    (folder / f"{name}.csv").write_text(text.replace(old, new, 1))
+    spoilt, n_found = re.subn(old, new, text, count=1)
+    assert n_found == 1
+    (folder / f"{name}.csv").write_text(spoilt)
     results = Results(folder)
     findings = [found(what, lambda check=check: check(results)) for what, check in STUDY.checks]
     faults = [one for finding in findings for one in finding.faults]
