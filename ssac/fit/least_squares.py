@@ -223,8 +223,8 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
         by_others[1:] += epipolar.sampson_derivative(F_own.T, own2, own1, dp1)
     if shrinks.any():  # the lines' lengths, by which products are divided, change too
         lines = [own2 @ F_own[:2, :2] + F_own[2, :2], own1 @ F_own[:2, :2].T + F_own[:2, 2]]
-        shares = np.hstack(lines) ** 2 / np.append(size1, size2)
-        shares /= np.sum(np.hstack(lines) ** 2, axis=1, keepdims=True)
+        squares = np.hstack(lines) ** 2
+        shares = squares / np.append(size1, size2) / np.sum(squares, axis=1, keepdims=True)
         by_others[1:] += distances_px * (shrinks @ shares.T)
     by_pose = pose_jacobian(R, t, K1, K2, own1, own2, F_own)
     jacobian = np.column_stack([by_others[0], by_pose, by_others[1:].T])
