@@ -1,7 +1,6 @@
-"""The ways to ask for an estimate, and a comparison of two answers to the last bit.
+"""Asks Python for an estimate, and compares two answers to the last bit.
 
-Only this module of the tests knows how each way is called. `.ci/same` runs this file with the
-packages of another commit, so it imports only `ssac` of our packages when it is loaded.
+`.ci/same` runs this file with the packages of another commit, so it imports only `ssac` of ours.
 """
 
 import json
@@ -10,15 +9,13 @@ import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, is_dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 
@@ -44,120 +41,19 @@ class Recorded:
         return text.replace(self.rig, "the rig")
 
 
-# --- The ways: each gives an estimate, or raises SsacError ----------------------------------------
-
-
-def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
-    """Call `ssac.sync`; return its estimate, and what the command line must write and print."""
+def synced(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Any:
+    """Call `ssac.sync` with the files of two cameras."""
     from ssac import sync
 
-    result = sync(
+    return sync(
         *(recorded.files[k] for k in pair), recorded.rig, method,
         known_extrinsics=recorded.known_extrinsics, cameras=(pair[0] + 1, pair[1] + 1),
         estimate_readout=recorded.estimate_readout, **recorded.config,
     )  # fmt: skip
-    told = {**untimed(result.to_dict()), "printed": result.summary().split()}
-    return {"estimate": result.estimate, "told": told}
 
 
 def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    return told_by_python(recorded, method, pair)["estimate"]
-
-
-def untimed(told: dict[str, Any]) -> dict[str, Any]:
-    found = {name: value for name, value in told.items() if name != "seconds"}
-    return json.loads(json.dumps(found))
-
-
-def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Run `ssac sync --json` within this process; return the file's fields and the output."""
-    from ssac.cli.sync import OPTIONS
-    from tests.ssac.command import read_json, run
-
-    args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
-    args += ["--known-extrinsics"] * recorded.known_extrinsics
-    args += ["--estimate-readout"] * recorded.estimate_readout
-    for name, option in OPTIONS.items():
-        value, flag = recorded.config.get(option.field), f"--{name.replace('_', '-')}"
-        if option.value is None and value is not None:
-            args += [flag, *(value if isinstance(value, tuple) else [value])]
-        elif option.value is not None and option.value == value:
-            args.append(flag)
-    out = Path(recorded.rig).with_name(f"{method}.json")
-    ended = run("sync", *args, "--json", out, code=None)
-    if ended.exit_code > 1:
-        raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
-    found = read_json(out)
-    assert ended.exit_code == (found["status"] != "ok"), ended.stderr
-    return {**untimed(found), "printed": ended.stdout.split()}
-
-
-def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Measure a cell of a study; return its row as the cache keeps it."""
-    from experiments.lab.cell import UNUSABLE
-    from experiments.lab.schedule import plain
-    from experiments.lab.scored import scored_row
-
-    row = plain(scored_row(*_of_study(recorded, method)))
-    if row["status"] in ("skipped", UNUSABLE):
-        raise SsacError(row["reason"])
-    return row
-
-
-def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
-    from experiments.lab.schedule import plain
-    from experiments.lab.scored import _scored
-
-    cell, chain = _of_study(recorded, method)
-    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
-    truth = chain.rig.pair(0, 1)
-    row = _scored(Estimate(**{**fields, "jump": None, "start": None}), cell, truth)
-    return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
-
-
-def by_chain(recorded: Recorded, method: str, pair: Pair) -> Estimate:
-    """Estimate one pair by the chain of all cameras, which chooses one object for the whole rig."""
-    return _chain(recorded).estimate(method, *pair)
-
-
-@cache
-def _chain(recorded: Recorded) -> Any:
-    """Build the chain as a caller does who has all cameras in memory."""
-    from ssac import Chain
-    from ssac.camera import to_be_read_out
-    from ssac.pipeline.opened import opened, opened_rig
-
-    rig = opened_rig(recorded.rig, len(recorded.files))
-    if recorded.estimate_readout:
-        rig = replace(rig, cameras=tuple(map(to_be_read_out, rig.cameras)))
-    cameras = [one.read("images") for one in opened(recorded.files, rig)]
-    return Chain(cameras, rig, Config(**recorded.config))
-
-
-@cache
-def told_by_network(recorded: Recorded, method: str) -> Any:
-    """Call `ssac.sync` for all cameras at once."""
-    from ssac import sync
-
-    return sync([*recorded.files], recorded.rig, None, method, **recorded.config)
-
-
-def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
-    pairs = told_by_network(recorded, method).pairs
-    return {pair: answer.estimate for pair, answer in pairs.items()}
-
-
-def _of_study(recorded: Recorded, method: str) -> Any:
-    from experiments.lab.grid import Cell
-    from sim.recording import SimConfig
-    from ssac.pipeline.registry import choose_method
-
-    chosen, config = choose_method(method, recorded.known_extrinsics), Config(**recorded.config)
-    cell = Cell(SimConfig(), 0, 0, 0.0, config, chosen.name, {"sim.t_d_s": 0.0})
-    return cell, _chain(recorded)
-
-
-# --- Comparing ------------------------------------------------------------------------------------
+    return synced(recorded, method, pair).estimate
 
 
 def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: Any) -> Any:
@@ -199,9 +95,6 @@ def _is_same(one: Any, other: Any) -> bool:
         may_be_nan = one.dtype.names is None  # which NumPy cannot tell of fields
         return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=may_be_nan)
     return repr(one) == repr(other)  # shows every bit of a float, and NaNs alike
-
-
-# --- For another commit ---------------------------------------------------------------------------
 
 
 def main() -> None:

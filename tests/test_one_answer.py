@@ -5,18 +5,30 @@ Where that has the same files, rig and configuration, it reuses the results of t
 that nothing is estimated twice from inputs that are the same to the last bit.
 """
 
+import json
 import pickle
+from dataclasses import replace
+from functools import cache
 from itertools import combinations
-from typing import Any
+from pathlib import Path
 
 import pytest
 from threadpoolctl import threadpool_limits
 
-from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import Recording
-from ssac.pipeline.registry import OURS
-from tests import answers
-from tests.answers import answered, differences, untimed
+from experiments.lab.cell import UNUSABLE
+from experiments.lab.grid import Cell
+from experiments.lab.schedule import plain
+from experiments.lab.scored import _scored, scored_row
+from sim.recording import SimConfig
+from ssac import Chain, sync
+from ssac.camera import to_be_read_out
+from ssac.cli.sync import OPTIONS
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.pipeline.opened import Recording, opened, opened_rig
+from ssac.pipeline.registry import OURS, choose_method
+from tests.answers import answered, by_python, differences, fields_of, synced
 from tests.pipeline_recordings import RECORDINGS, write
 from tests.ssac.command import read_json, run
 
@@ -39,7 +51,7 @@ recordings lack, and one where it takes seconds to separate objects or to try ot
 @pytest.fixture
 def found(monkeypatch):
     """Results by files and rig, which the chains of these share until the test clears them."""
-    of_chains, init = dict[bytes, dict[Any, Any]](), Chain.__init__
+    of_chains, init = {}, Chain.__init__
 
     def begun(chain, cameras, rig, *more):
         init(chain, cameras, rig, *more)
@@ -50,27 +62,92 @@ def found(monkeypatch):
     return of_chains
 
 
+def told(result):
+    """Return what the command line must write and print, but for the time that it took."""
+    return untimed(result.to_dict()) | {"printed": result.summary().split()}
+
+
+def untimed(fields):
+    return {**json.loads(json.dumps(fields)), "seconds": None}
+
+
+def told_by_python(recorded, method):
+    result = synced(recorded, method)
+    return {"estimate": result.estimate, "told": told(result)}
+
+
+def by_command_line(recorded, method):
+    """Run `ssac sync --json` within this process; return the file's fields and the output."""
+    args = [*recorded.files, "--rig", recorded.rig, *(("--method", method) if method else ())]
+    args += ["--known-extrinsics"] * recorded.known_extrinsics
+    args += ["--estimate-readout"] * recorded.estimate_readout
+    for name, option in OPTIONS.items():
+        value, flag = recorded.config.get(option.field), f"--{name.replace('_', '-')}"
+        if option.value is None and value is not None:
+            args += [flag, *(value if isinstance(value, tuple) else [value])]
+        elif option.value is not None and option.value == value:
+            args.append(flag)
+    out = Path(recorded.rig).with_name(f"{method}.json")
+    ended = run("sync", *args, "--json", out, code=None)
+    if ended.exit_code > 1:
+        raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
+    found = read_json(out)
+    assert ended.exit_code == (found["status"] != "ok"), ended.stderr
+    return untimed(found) | {"printed": ended.stdout.split()}  # as lines are folded
+
+
+@cache
+def chain_of(recorded):
+    """Build the chain as a caller does who has all cameras in memory."""
+    rig = opened_rig(recorded.rig, len(recorded.files))
+    if recorded.estimate_readout:
+        rig = replace(rig, cameras=tuple(map(to_be_read_out, rig.cameras)))
+    cameras = [one.read("images") for one in opened(recorded.files, rig)]
+    return Chain(cameras, rig, Config(**recorded.config))
+
+
+def by_chain(recorded, method, pair):
+    """Estimate one pair by the chain of all cameras, which chooses one object for the whole rig."""
+    return chain_of(recorded).estimate(method, *pair)
+
+
+def cell_of(recorded, method):
+    chosen, config = choose_method(method, recorded.known_extrinsics), Config(**recorded.config)
+    return Cell(SimConfig(), 0, 0, 0.0, config, chosen.name, {"sim.t_d_s": 0.0})
+
+
+def row_by_study(recorded, method):
+    """Measure a cell of a study; return its row as the cache keeps it."""
+    row = plain(scored_row(cell_of(recorded, method), chain_of(recorded)))
+    if row["status"] in ("skipped", UNUSABLE):
+        raise SsacError(row["reason"])
+    return row
+
+
+def row_of(fields, recorded, method):
+    """Score the fields of an estimate as a study does."""
+    chain, estimate = chain_of(recorded), Estimate(**{**fields, "jump": None, "start": None})
+    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+    row = _scored(estimate, cell_of(recorded, method), chain.rig.pair(0, 1))
+    return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
+
+
 def ways(recorded, method):
     """Yield each way's name, the answer expected from the Python call, and its own answer."""
     if len(recorded.files) > 2:
-        yield "network", of_pairs(recorded, method), answered(answers.by_network, recorded, method)
+        result = sync([*recorded.files], recorded.rig, None, method, **recorded.config)
+        # The whole rig chooses one object, and a pair alone may choose another.
+        alone = by_chain if recorded.name == "three_cameras_two_drones" else by_python
+        pairs = combinations(range(len(recorded.files)), 2)
+        expected = {pair: answered(alone, recorded, method, pair) for pair in pairs}
+        yield "network", expected, fields_of({k: one.estimate for k, one in result.pairs.items()})
+        yield "command line", told(result), answered(by_command_line, recorded, method)
         return
-    told = answered(answers.told_by_python, recorded, method)
-    by_command_line = answered(answers.by_command_line, recorded, method)
-    yield "command line", told.get("told", told), by_command_line
+    python = answered(told_by_python, recorded, method)
+    yield "command line", python.get("told", python), answered(by_command_line, recorded, method)
     if recorded.name != "without_pose":  # studies know every pose
-        row = told if "error" in told else answers.row_of(told["estimate"], recorded, method)
-        yield "row", row, answered(answers.row_by_study, recorded, method)
-
-
-def of_pairs(recorded, method):
-    """Answer each pair of cameras alone; if a pair is refused, return the first error alone."""
-    # The whole rig chooses one object, and a pair alone may choose another.
-    is_one = recorded.name == "three_cameras_two_drones"
-    alone = answers.by_chain if is_one else answers.by_python
-    pairs = combinations(range(len(recorded.files)), 2)
-    found = {pair: answered(alone, recorded, method, pair) for pair in pairs}
-    return next((one for one in found.values() if "error" in one), found)
+        row = python if "error" in python else row_of(python["estimate"], recorded, method)
+        yield "row", row, answered(row_by_study, recorded, method)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -87,11 +164,4 @@ def test_one_answer(name, tmp_path, found):
                 # Pairs of a network look for no body, which is followed in all cameras together.
                 if not (way == "network" and field.endswith("without_body"))
             ]
-        assert different == []
-        if len(recorded.files) > 2:  # command line and Python of all cameras together
-            out, asked = tmp_path / "three.json", ("--method", method) if method else ()
-            args = (*recorded.files, "--rig", recorded.rig, "--json", out, *asked)
-            result = answers.told_by_network(recorded, method)
-            ended = run("sync", *args, code=int(result.status != "ok"))
-            assert ended.stdout.split() == result.summary().split()  # as lines are folded
-            assert list(differences(untimed(read_json(out)), untimed(result.to_dict()))) == []
+    assert different == []
