@@ -6,19 +6,13 @@ import pytest
 from sim.render.config import SamplingConfig
 from sim.render.footprint import choose_instants, footprint
 from sim.scene.flyers import bird, quadrotor
-from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
-from tests.sim.scenes import LENSES, straight
-
-RIGS = {
-    lens: two_view_rig(90.0, distortion_model=lens, distortion_coeffs=coeffs)
-    for lens, coeffs in LENSES.items()
-}
+from tests.sim.scenes import LENSES, make_camera, rng, straight
 
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens):
-    camera, times_s = RIGS[lens].cameras[0], np.linspace(0.0, 1.0, 600)
+    camera, times_s = make_camera(lens), np.linspace(0.0, 1.0, 600)
     T_W_B = straight(times_s, (-8.0, 0.0, 0.0), (16.0, 0.0, 0.0))
     seen = footprint(quadrotor(), camera, times_s, T_W_B)  # more poses than one batch
     entered = int(np.argmax(seen.visible))
@@ -37,7 +31,7 @@ def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens):
 
 
 def flight(seed, duration_s=4.0):
-    return random_spline(SplineConfig(duration_s=duration_s), np.random.default_rng(seed))
+    return random_spline(SplineConfig(duration_s=duration_s), rng(seed))
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -47,22 +41,21 @@ def flight(seed, duration_s=4.0):
     ids=["still", "spinning", "flapping"],
 )
 def test_steps_are_as_long_as_the_bound_lets_them(lens, drone, gain):
-    trajectory, max_step_px = flight(1, duration_s=1.0), 0.25
-    for camera in RIGS[lens].cameras:
-        instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px))
-        steps_px = footprint(drone, camera, instants_s, trajectory.poses(instants_s)).moved_px
-        # Between probes the speed is taken as constant. In flight it is, to 1 % of a step; but in
-        # 1/100 of a turn a blade seen aslant or a wing gains up to 4 % on its mean speed.
-        assert steps_px.max() <= gain * max_step_px
-        # The bound holds for the fastest corner, and which one that is changes with time.
-        assert np.median(steps_px[1:]) > 0.8 * max_step_px
+    trajectory, camera, max_step_px = flight(1, duration_s=1.0), make_camera(lens), 0.25
+    instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px))
+    steps_px = footprint(drone, camera, instants_s, trajectory.poses(instants_s)).moved_px
+    # Between probes the speed is taken as constant. In flight it is, to 1 % of a step; but in 1/100
+    # of a turn a blade seen aslant or a wing gains up to 4 % on its mean speed.
+    assert steps_px.max() <= gain * max_step_px
+    # The bound holds for the fastest corner, and which one that is changes with time.
+    assert np.median(steps_px[1:]) > 0.8 * max_step_px
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_instants_go_from_start_to_end_at_the_least_rate(seed):
     trajectory = flight(seed)
     config = SamplingConfig(max_step_px=50.0, min_rate_hz=80.0)  # no image moves that fast
-    instants_s = choose_instants(quadrotor(), RIGS["none"].cameras[1], trajectory, config)
+    instants_s = choose_instants(quadrotor(), make_camera(), trajectory, config)
     assert instants_s[0] == 0.0
     assert instants_s[-1] == trajectory.duration_s
     intervals_s = np.diff(instants_s)

@@ -3,9 +3,7 @@ import pytest
 
 from sim.render.lattice import COUNT_BIT, FULL_CODE, MAX_A, Lattice, average_tiles
 
-LATTICES = [
-    Lattice(a, b) for a, b in ((1, 0), (2, 0), (5, 0), (8, 0), (1, 1), (6, 1), (7, 1), (16, 1))
-]
+LATTICES = [*(Lattice(a, 0) for a in (1, 2, 5, 8)), *(Lattice(a, 1) for a in (1, 6, 7, 16, MAX_A))]
 IDS = [f"{lattice.a},{lattice.b}" for lattice in LATTICES]
 OBJECT = np.uint32(1 << COUNT_BIT)
 
@@ -50,9 +48,11 @@ def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice):
     x, y = positions_px(lattice, q.reshape(-1, 2)).T.reshape(2, *q.shape[:2])
     ramp = np.clip(0.3 + 0.05 * x + 0.04 * y, 0.0, 1.0)
     atlas = OBJECT + np.rint(ramp * FULL_CODE).astype(np.uint32)
-    black = np.zeros(size_px[::-1], np.float32)
-    (got,) = average_tiles(atlas, lattice, corner, corner, size_px, black)
+    given = corner, corner, size_px, np.zeros(size_px[::-1], np.float32)
+    (got,) = average_tiles(atlas, lattice, *given)
     x, y = np.meshgrid(np.arange(6), np.arange(5))
+    (full,) = average_tiles(np.full_like(atlas, OBJECT + FULL_CODE), lattice, *given)
+    np.testing.assert_allclose(full, 1.0, rtol=3e-7)  # float32; the finest lattice's fits a word
     # A sample's code is rounded by half a step; float32 adds 1e-7.
     np.testing.assert_allclose(got, 0.3 + 0.05 * x + 0.04 * y, atol=0.5 / FULL_CODE + 2e-7)
 
@@ -76,11 +76,3 @@ def test_the_average_equals_a_brute_force_sum(lattice):
         words = atlas[v, u].astype(np.int64)
         light = np.where(words > 0, (words & (OBJECT - 1)) / FULL_CODE, background[y, x])
         assert got[k, j, i] == pytest.approx(light.mean(), abs=3e-7)  # float32
-
-
-@pytest.mark.parametrize("b", [0, 1])
-def test_the_brightest_light_of_the_finest_lattice_fits_a_word(b):
-    lattice, corner = Lattice(MAX_A, b), np.zeros((1, 2), np.int64)
-    atlas = np.full(lattice.tile_size(3, 2)[::-1], OBJECT + FULL_CODE, np.uint32)
-    got = average_tiles(atlas, lattice, corner, corner, (3, 2), np.zeros((2, 3), np.float32))
-    np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32
