@@ -73,9 +73,9 @@ def test_hdf5_and_esim_text_are_read_back(tmp_path, n_events, n_frames, first_us
         path = tmp_path / "out" / f"{camera.camera.name}.h5"
         with h5py.File(path) as file:
             assert (file.attrs["width"], file.attrs["height"]) == (346, 260)
-            for name in ("t", "x", "y", "p"):
-                assert file[f"events/{name}"].dtype == EVENT_DTYPE[name]
-                np.testing.assert_array_equal(file[f"events/{name}"][:], camera.events[name])
+            stored = {name: column[:] for name, column in file["events"].items()}
+            np.testing.assert_equal(stored, {name: camera.events[name] for name in "txyp"})
+            assert all(stored[name].dtype == EVENT_DTYPE[name] for name in "txyp")
             assert ("frames" in file) == (n_frames > 0)
         lines = path.with_suffix(".txt").read_text().splitlines()
         assert lines[0] == "346 260"
@@ -88,11 +88,8 @@ def test_hdf5_and_esim_text_are_read_back(tmp_path, n_events, n_frames, first_us
                 assert read.events.dtype == EVENT_DTYPE
                 np.testing.assert_array_equal(read.events, camera.events)
                 assert (read.width, read.height) == (346, 260)
-        frames = load_frames(path)
-        assert (frames is not None) == (n_frames > 0)
-        if frames is not None:
-            np.testing.assert_array_equal(frames[0], camera.frames.times_us)
-            np.testing.assert_array_equal(frames[1], camera.frames.images)
+        expected = (camera.frames.times_us, camera.frames.images) if n_frames else None
+        np.testing.assert_equal(load_frames(path), expected)
 
 
 def test_rigs_and_the_truth_are_complete(tmp_path):
@@ -195,58 +192,46 @@ def test_hdf5_never_fills_a_disk(tmp_path, monkeypatch, disk_mb, n_events, n_fra
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_there_needs_no_other_place(tmp_path):
-    """Its parent may be another disk, from which nothing can be renamed, or not be writable."""
-
-    def look(partial, _):
-        assert partial.parent == tmp_path / "out"
-        assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-    (tmp_path / "out").mkdir()
-    save_recording(made_up_recording(5, 1), tmp_path / "out", {}, write_more=look)
-    assert "truth.json" in contents(tmp_path / "out")
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("is_there", [True, False])
-def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path, is_there):
-    out = tmp_path / "out"
-    if is_there:
-        out.mkdir()
-
-    def fill(share):
-        out.mkdir(exist_ok=True)
-        (out / "notes.txt").write_text("mine")
-
-    with pytest.raises(SimError, match="is not empty: name a new folder"):
-        record(QUICK, 1, out, {}, progress=fill)
-    assert contents(out) == {"notes.txt": b"mine"}
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
 @pytest.mark.parametrize(
-    ("out", "reason"),
+    ("out", "filled", "reason"),
     [
-        ("taken", "is not empty: name a new folder"),
-        ("taken/notes.txt", r"notes\.txt is a file: name a folder"),
-        ("taken/notes.txt/out", r"cannot write the recording to .*notes\.txt/out"),
+        ("taken", "before", "is not empty: name a new folder"),
+        ("taken", "meanwhile", "is not empty: name a new folder"),
+        ("taken", "made meanwhile", "is not empty: name a new folder"),
+        ("taken/notes.txt", "before", r"notes\.txt is a file: name a folder"),
+        ("taken/notes.txt/out", "before", r"cannot write the recording to .*notes\.txt/out"),
     ],
 )
-def test_what_is_there_is_left_alone(tmp_path, out, reason):
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "notes.txt").write_text("mine")
+def test_what_is_there_is_left_alone(tmp_path, out, filled, reason):
+    taken = tmp_path / "taken"
+
+    def fill(*_):
+        taken.mkdir(exist_ok=True)
+        (taken / "notes.txt").write_text("mine")
+
+    if filled != "made meanwhile":
+        taken.mkdir()
+    if filled == "before":
+        fill()
     with pytest.raises(SimError, match=reason):
-        save_recording(made_up_recording(5, 0), tmp_path / out, {})
-    assert contents(tmp_path / "taken") == {"notes.txt": b"mine"}
+        save_recording(made_up_recording(5, 0), tmp_path / out, {}, write_more=fill)
+    assert contents(taken) == {"notes.txt": b"mine"}
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
 @pytest.mark.parametrize("out", ["new", "deep/er/new", "empty", "empty/", ".", "./", "../here"])
 def test_new_and_empty_folders_are_taken_and_the_present_one(tmp_path, monkeypatch, out):
+    """The parent of a folder may be another disk, or not be writable: nothing is written there."""
     here = tmp_path / "here"
     (here / "empty" if "empty" in out else here).mkdir(parents=True)
     monkeypatch.chdir(here)
     check_out_dir(Path(out))
-    save_recording(made_up_recording(5, 1), Path(out), {})
+
+    def look(partial, _):
+        assert partial.parent == (here / "empty" if "empty" in out else here)
+        assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+    save_recording(made_up_recording(5, 1), Path(out), {}, write_more=look)
     assert "truth.json" in contents(Path(out))  # of the present folder: still the same one
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
     assert not list(tmp_path.rglob("*.partial"))
