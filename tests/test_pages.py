@@ -8,6 +8,7 @@ import yaml
 from tests.test_architecture import FLOORS, ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+TEXTS = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 MAX_WIDTH = 120
 README_LINES = 120
 PAGE_LINES = 200
@@ -20,8 +21,8 @@ _MADE = "results/"  # files that commands make, and `ssac verify` checks
 
 
 def test_the_folders_of_the_architecture_are_those_there_are():
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    told = re.findall(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", text, re.MULTILINE)
+    row = re.compile(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", re.MULTILINE)
+    told = row.findall(TEXTS["architecture.md"])
     assert all((ROOT / package / "py.typed").is_file() for package in FLOORS)
     there = [
         f"{package}/{folder.name}/"
@@ -33,8 +34,7 @@ def test_the_folders_of_the_architecture_are_those_there_are():
 
 
 def test_the_way_of_a_recording_follows_the_arrows():
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    way = text.split("## The way of one recording")[1].split("##")[0]
+    way = TEXTS["architecture.md"].split("## The way of one recording")[1].split("##")[0]
     packages = list(FLOORS)
     order = []
     for path in re.findall(r"`((?:sim|ssac|experiments)/[\w/.]+)`", way):
@@ -46,7 +46,7 @@ def test_the_way_of_a_recording_follows_the_arrows():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere_and_lines_fit(page):
-    text = page.read_text(encoding="utf-8")
+    text = TEXTS[page.name]
     links = [
         link for link in _LINK.findall(text) if not link.startswith("http") and _MADE not in link
     ]
@@ -62,13 +62,12 @@ def test_links_lead_somewhere_and_lines_fit(page):
 
 
 def test_the_pages_are_short_enough_to_be_read():
-    texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
-    assert not [name for name, text in texts.items() if text.count("\n") > PAGE_LINES]
-    assert sum(len(text.split()) for text in texts.values()) <= WORDS
+    assert not [name for name, text in TEXTS.items() if text.count("\n") > PAGE_LINES]
+    assert sum(len(text.split()) for text in TEXTS.values()) <= WORDS
 
 
 def test_the_readme_is_short_and_shows_its_first_screen():
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    lines = TEXTS["README.md"].splitlines()
     assert len(lines) <= README_LINES
     first = "\n".join(lines[:20])
     assert all(part in first for part in ("p2(t + t_d)'", "![", "make demo", "make tables"))
@@ -81,4 +80,4 @@ def test_how_to_cite_names_this_version_and_the_paper():
     assert f'version = "{citation["version"]}"' in project
     assert citation["license"] == "MIT"
     assert len(citation["preferred-citation"]["authors"]) == 5
-    assert f"## [{citation['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{citation['version']}]" in TEXTS["CHANGELOG.md"]

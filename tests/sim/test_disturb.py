@@ -5,28 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.disturb import (
-    CLOUD_LUMINANCE,
-    CLUSTER_HZ,
-    LAMP_HZ,
-    LAMP_STEPS,
-    SKY_LUMINANCE,
-    DisturbConfig,
-    View,
-    clouds,
-    cloudy_sky,
-    clutter,
-    disturbed,
-    merged,
-    second_seed,
-    thinned,
-    wrong_intrinsics,
-)
+from sim import disturb
+from sim.disturb import LAMP_HZ, LAMP_STEPS, DisturbConfig, View, clutter, thinned
 from sim.effects.pixels import CLUSTER_PX
 from sim.recording import simulate
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
-from tests.sim.scenes import QUICK
+from tests.sim.scenes import QUICK, rng
 
 VIEW, SMALL_VIEW = View(346, 260, 2.0), View(120, 90, 2.0)
 
@@ -60,7 +45,7 @@ def test_clutter_is_in_order_within_view_and_time_and_drawn_by_seed_and_camera(k
 def test_one_disturbance_more_leaves_the_others_as_they_are():
     assert len(drawn(DisturbConfig())) == 0
     both = drawn(DisturbConfig(hot_clusters=5, people=3))
-    apart = merged(drawn(KINDS["clusters"]), drawn(KINDS["people"]))
+    apart = disturb.merged(drawn(KINDS["clusters"]), drawn(KINDS["people"]))
     assert np.array_equal(both, apart)
 
 
@@ -80,7 +65,7 @@ def test_hot_clusters_are_squares_of_pixels_that_fire_on_and_on():
     pixels, counts = np.unique(events["x"].astype(int) * 1000 + events["y"], return_counts=True)
     assert len(pixels) == 5 * CLUSTER_PX**2  # of these seeds, no two overlap
     # Medians of 45 log-normal rates scatter by 1.25 * 0.7 / sqrt(45) = 13 %.
-    assert np.median(counts) == pytest.approx(CLUSTER_HZ * VIEW.duration_s, rel=0.4)
+    assert np.median(counts) == pytest.approx(disturb.CLUSTER_HZ * VIEW.duration_s, rel=0.4)
     assert events["p"].all()
 
 
@@ -118,7 +103,7 @@ def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself():
     assert len(thinned(events, 0.1, 0, 0)) == pytest.approx(expected, abs=5 * expected**0.5)
     # Both keep one event in a hundred; events that share a microsecond add some times in common.
     assert len(times_us[0] & times_us[1]) < 0.3 * expected
-    assert len({second_seed(seed) for seed in range(100)} | set(range(100))) == 200
+    assert len({disturb.second_seed(seed) for seed in range(100)} | set(range(100))) == 200
 
 
 def test_wrong_intrinsics_are_draws_of_the_stated_deviations():
@@ -126,7 +111,7 @@ def test_wrong_intrinsics_are_draws_of_the_stated_deviations():
     config = DisturbConfig(intrinsics_error=(1.0, 3.0))
     errors = np.empty((400, 2, 4))
     for seed, camera in np.ndindex(400, 2):
-        wrong, deviations_px = wrong_intrinsics(K, config, seed, camera)
+        wrong, deviations_px = disturb.wrong_intrinsics(K, config, seed, camera)
         assert deviations_px == pytest.approx([2.0, 2.1, 3.0, 3.0])
         difference = wrong - K
         errors[seed, camera] = difference[[0, 1, 0, 1], [0, 1, 2, 2]] / deviations_px
@@ -137,7 +122,7 @@ def test_wrong_intrinsics_are_draws_of_the_stated_deviations():
     drawn_by = errors.reshape(400, 8)
     assert np.abs(drawn_by.mean(axis=0)).max() < 5 / 400**0.5
     np.testing.assert_allclose(drawn_by.T @ drawn_by / 400, np.eye(8), atol=5 * (2 / 400) ** 0.5)
-    exact, none = wrong_intrinsics(K, DisturbConfig(), 0, 0)
+    exact, none = disturb.wrong_intrinsics(K, DisturbConfig(), 0, 0)
     assert np.array_equal(exact, K)
     assert not none.any()
 
@@ -146,7 +131,7 @@ def test_clutter_bears_the_clock_of_the_camera_that_sees_it():
     drifting = {"t_d_s": 0.25, "skew_ppm": -20_000.0, "clock_jump": (0.7, 0.005)}
     config = replace(QUICK, render=RenderConfig(Lattice(2, 0), check=False), **drifting)
     recording, added = simulate(config, 5), DisturbConfig(noise_hz=0.5)
-    spoilt = disturbed(recording, added, 5)
+    spoilt = disturb.disturbed(recording, added, 5)
     for index, (before, after) in enumerate(zip(recording.cameras, spoilt.cameras, strict=True)):
         noise = clutter(added, View(346, 260, 1.0), 5, index)
         t_us = noise["t"].copy()
@@ -159,9 +144,9 @@ def test_clutter_bears_the_clock_of_the_camera_that_sees_it():
 
 
 def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border():
-    sky = cloudy_sky(SMALL_VIEW, np.random.default_rng(0))
+    sky = disturb.cloudy_sky(SMALL_VIEW, rng(0))
     assert sky.shape == (256, 256)
-    low, high = (np.float32(light) for light in (SKY_LUMINANCE, CLOUD_LUMINANCE))
+    low, high = (np.float32(light) for light in (disturb.SKY_LUMINANCE, disturb.CLOUD_LUMINANCE))
     assert sky.min() >= low * (1.0 - 1e-6)  # single precision
     assert sky.max() <= high * (1.0 + 1e-6)
     clear, white = np.mean(sky < 1.01 * low), np.mean(sky > 0.99 * high)
@@ -174,7 +159,7 @@ def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border():
 
 
 def test_clouds_twice_as_fast_make_twice_the_events_all_along():
-    slow, fast = (clouds(SMALL_VIEW, speed, np.random.default_rng(7)) for speed in (4.0, 8.0))
+    slow, fast = (disturb.clouds(SMALL_VIEW, speed, rng(7)) for speed in (4.0, 8.0))
     # In its first half the fast sky moves as far as the slow one in all; later parts differ.
     first = fast[fast["t"] < 1e6]
     assert len(first) == pytest.approx(len(slow), rel=0.02)  # frames lie elsewhere
