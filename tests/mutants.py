@@ -12,8 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,30 +59,17 @@ def mutants() -> list[Mutant]:
     return [Mutant(**{**one, "tests": tuple(one.get("tests", ()))}) for one in listed]
 
 
-@contextmanager
-def scratch_copy() -> Iterator[Path]:
-    """Check out the last commit in a temporary folder, with the kernels already compiled."""
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        tree = Path(folder) / "tree"
-        git = ["git", "-C", str(ROOT), "worktree"]
-        subprocess.run([*git, "add", "--quiet", "--detach", str(tree), "HEAD"], check=True)
-        try:
-            for package in PACKAGES:
-                for path in (tree / package).rglob("*.py"):
-                    _take_kernels(ROOT / path.relative_to(tree), path)
-            yield tree
-        finally:
-            subprocess.run([*git, "remove", "--force", str(tree)], check=True)
-
-
-def _take_kernels(ours: Path, theirs: Path) -> None:
-    """Copy numba's cache of an unchanged module, and the module's time, by which numba knows it."""
-    if not ours.is_file() or ours.read_bytes() != theirs.read_bytes():
-        return
-    shutil.copystat(ours, theirs)
-    for kept in (ours.parent / "__pycache__").glob(f"{ours.stem}.*.nb[ci]"):
-        (theirs.parent / "__pycache__").mkdir(exist_ok=True)
-        shutil.copy2(kept, theirs.parent / "__pycache__")
+def scratch_copy(tree: Path) -> Path:
+    """Clone the last commit, with the kernels already compiled."""
+    subprocess.run(["git", "clone", "--quiet", "--shared", str(ROOT), str(tree)], check=True)
+    for theirs in (path for package in PACKAGES for path in (tree / package).rglob("*.py")):
+        ours, kernels = ROOT / theirs.relative_to(tree), theirs.parent / "__pycache__"
+        if ours.is_file() and ours.read_bytes() == theirs.read_bytes():
+            shutil.copystat(ours, theirs)  # by the module's time numba knows its kernels
+            for kernel in (ours.parent / "__pycache__").glob(f"{ours.stem}.*.nb[ci]"):
+                kernels.mkdir(exist_ok=True)
+                shutil.copy2(kernel, kernels)
+    return tree
 
 
 def verdict(mutant: Mutant, tree: Path) -> str:
@@ -129,7 +115,8 @@ def main() -> int:
     part = parser.parse_args().k
     chosen = [one for one in mutants() if part in one.name or part in one.file]
     verdicts = []
-    with scratch_copy() as tree:
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = scratch_copy(Path(folder) / "tree")
         for one in chosen:
             start_s = time.monotonic()
             verdicts.append(verdict(one, tree))
