@@ -30,10 +30,6 @@ def test_only_steps_with_both_ends_in_view_count_and_the_fastest_point(lens):
         np.testing.assert_allclose(moved_px, expected_px, rtol=1e-9)
 
 
-def flight(seed, duration_s=4.0):
-    return random_spline(SplineConfig(duration_s=duration_s), rng(seed))
-
-
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize(
     ("drone", "gain"),
@@ -41,7 +37,8 @@ def flight(seed, duration_s=4.0):
     ids=["still", "spinning", "flapping"],
 )
 def test_steps_are_as_long_as_the_bound_lets_them(lens, drone, gain):
-    trajectory, camera, max_step_px = flight(1, duration_s=1.0), make_camera(lens), 0.25
+    trajectory = random_spline(SplineConfig(1.0), rng(1))
+    camera, max_step_px = make_camera(lens), 0.25
     instants_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px))
     steps_px = footprint(drone, camera, instants_s, trajectory.poses(instants_s)).moved_px
     # Between probes the speed is taken as constant. In flight it is, to 1 % of a step; but in 1/100
@@ -53,7 +50,7 @@ def test_steps_are_as_long_as_the_bound_lets_them(lens, drone, gain):
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_instants_go_from_start_to_end_at_the_least_rate(seed):
-    trajectory = flight(seed)
+    trajectory = random_spline(SplineConfig(4.0), rng(seed))
     config = SamplingConfig(max_step_px=50.0, min_rate_hz=80.0)  # no image moves that fast
     instants_s = choose_instants(quadrotor(), make_camera(), trajectory, config)
     assert instants_s[0] == 0.0

@@ -50,24 +50,11 @@ def unchecked(renderer="pyrender", a=16, b=1, **light):
     return RenderConfig(Lattice(a, b), renderer=renderer, check=False, **light)
 
 
-def drawn(*scene):
-    """Draw whole images of a scene: drone, camera, times, poses, background and config."""
-    drone, camera, times_s, T_W_B, background, config = scene
+def drawn(drone, camera, times_s, T_W_B, background, config):
+    """Draw whole images of a scene."""
     with Renderer(drone, config) as renderer:
         crops = renderer.crops(camera, times_s, T_W_B, background)
         return whole_images(crops, times_s, background)
-
-
-def full_frames(*scene):
-    """Draw the same images by OpenGL, a whole frame at a time."""
-    drone, camera, times_s, T_W_B, background, config = scene
-    painter, seen = GLPainter(drone, config), footprint(drone, camera, times_s, T_W_B)
-    seen.boxes[:] = 0, 0, camera.width, camera.height
-    each = (
-        plan_views(drone, camera, seen, np.array([k]), times_s, T_W_B) for k in range(len(times_s))
-    )
-    zero = np.zeros((1, 2), np.int64)
-    return np.concatenate([painter.paint(camera, view, zero, background) for view in each])
 
 
 # --- One instant, one picture ------------------------------------------------------------------
@@ -229,16 +216,19 @@ AT_BORDERS = poses(np.concatenate([CORNERS_M * [1, 1, 0.2], CORNERS_M * [0.3, 1,
 )
 def test_same_pixels_as_in_a_full_frame(drone, T_W_B, ambient, a, b, lens):
     camera, times_s = make_camera(lens, HALF_VGA), np.linspace(0.0, 1.0, len(T_W_B))
-    background = noise_image(camera)
-    scene = (drone, camera, times_s, T_W_B, background, unchecked(a=a, b=b, ambient=ambient))
-    crops = drawn(*scene)
+    background, config = noise_image(camera), unchecked(a=a, b=b, ambient=ambient)
+    crops = drawn(drone, camera, times_s, T_W_B, background, config)
     assert (crops != background).any(axis=(1, 2)).all()
-    boxes = footprint(drone, camera, times_s, T_W_B).boxes
-    is_cut = ((boxes[:, :2] == 0) | (boxes[:, 2:] == HALF_VGA)).any(axis=1)
+    painter, seen = GLPainter(drone, config), footprint(drone, camera, times_s, T_W_B)
+    is_cut = ((seen.boxes[:, :2] == 0) | (seen.boxes[:, 2:] == HALF_VGA)).any(axis=1)
     assert (is_cut.sum() >= 6) == (T_W_B is AT_BORDERS)
+    seen.boxes[:] = 0, 0, *HALF_VGA
+    zero, each = np.zeros((1, 2), np.int64), np.arange(len(times_s))[:, None]
+    views = (plan_views(drone, camera, seen, at, times_s, T_W_B) for at in each)
+    whole = np.concatenate([painter.paint(camera, view, zero, background) for view in views])
     # Cutting an edge off at the tile's border makes a new corner, which the rasteriser rounds to
     # 1/256 of a sample: very seldom a sample beside the edge changes sides.
-    assert (crops != full_frames(*scene)).sum() <= (T_W_B is AT_BORDERS)
+    assert (crops != whole).sum() <= (T_W_B is AT_BORDERS)
 
 
 def test_the_other_backend_draws_the_same_but_for_a_few_edge_pixels():
