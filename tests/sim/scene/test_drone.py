@@ -4,16 +4,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from sim.scene.drone import DEFAULT_ALBEDO, Joint, drone_from_file, part_faces, piece_size_m
-from sim.scene.flyers import (
-    DRONES,
-    FLAP_RAD,
-    QUADROTORS,
-    bird,
-    built_in_drone,
-    plane,
-    quadrotor,
-    two_tone,
-)
+from sim.scene.flyers import DRONES, FLAP_RAD, QUADROTORS, bird, built_in_drone, quadrotor
 from sim.twin.bench import printed
 from tests.sim.scenes import LENSES, box_drone, make_camera
 
@@ -70,7 +61,7 @@ def test_quadrotor_is_its_own_mirror_image(mirror):
 
 def test_two_tone_is_what_it_was():
     # Recorded figures of the mesh: a change of the mesh would change results under other names.
-    part = two_tone(1.0).parts[0]
+    part = built_in_drone("two-tone", 1.0).parts[0]
     mesh = as_mesh(part)
     shine = part.albedo * mesh.area_faces
     figures = [mesh.area, shine.sum(), *(shine @ mesh.triangles_center)]
@@ -173,9 +164,11 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path):
 
 @pytest.mark.parametrize(
     "drone",
-    [*(build(rotor_hz=hz) for build in QUADROTORS.values() for hz in (0.0, 40.0)),
-     bird(), bird(flap_hz=0.0), plane(), printed()],
-)  # fmt: skip
+    [
+        *(build(rotor_hz=40.0) for build in QUADROTORS.values()),
+        *(bird(flap_hz=0.0), *map(built_in_drone, DRONES), printed()),
+    ],
+)
 def test_every_piece_is_closed_and_faces_outward(drone):
     for part in drone.parts:
         pieces = as_mesh(part).split()
@@ -200,7 +193,7 @@ def test_size_is_the_largest_horizontal_extent_and_scales_all(name):
     assert height < 0.5 * max(length, width)
 
 
-@pytest.mark.parametrize("drone", [bird(2.0), plane(2.0)])
+@pytest.mark.parametrize("drone", [built_in_drone(name, 2.0) for name in ("bird", "plane")])
 def test_bird_and_plane_are_not_symmetric(drone):
     centres = np.concatenate([as_mesh(part).triangles_center for part in drone.parts])
     albedo = np.concatenate([part.albedo for part in drone.parts])
