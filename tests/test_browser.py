@@ -85,112 +85,101 @@ def pages(recorded, tmp_path_factory):
     return found
 
 
-class Opened:
-    """A page in the browser, with its messages and its requests for addresses not its own."""
-
-    def __init__(self, browser, address, own, width=1400, **looks):
-        # The page's own content security policy is bypassed, as it would keep axe out.
-        self.context = browser.new_context(
-            viewport={"width": width, "height": 900}, bypass_csp=True, **looks
-        )
-        self.page = self.context.new_page()
-        self.messages = []
-        self.page.on("console", lambda message: self.messages.append(message.text))
-        self.page.on("pageerror", lambda error: self.messages.append(str(error)))
-        self.own = "data:", "blob:", own
-        self.page.on("request", self._asked)
-        self.page.goto(address)
-
-    def _asked(self, request):
-        if not request.url.startswith(self.own):
-            self.messages.append(request.url)
-
-    def unfold(self):
-        self.page.evaluate(
-            "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
-        )
-
-    def part(self, name):
-        return self.page.locator(f'[data-part="{name}"]')
-
-    def drawn(self, name):
-        """Count the pixels of a canvas that are not empty."""
-        script = """canvas => canvas.getContext("2d").getImageData(0, 0, canvas.width,
-            canvas.height).data.filter((value, i) => i % 4 === 3 && value).length"""
-        return int(self.part(name).evaluate(script))
-
-
 @pytest.fixture
 def opened(browser, pages):
+    """Opens pages, which keep their messages and their requests for addresses not their own."""
     made = []
 
-    def make(kind, **screen):
-        if kind in SITE:
-            if not (DOCS / "index.html").exists():
-                missing("the site", "docs")
-            made.append(Opened(browser, f"{DOCS.as_uri()}/{SITE[kind]}", DOCS.as_uri(), **screen))
-        else:
-            made.append(Opened(browser, pages[kind].as_uri(), pages[kind].as_uri(), **screen))
-            made[-1].page.wait_for_selector("#player[data-ready]", state="attached")
-        return made[-1]
+    def make(kind, width=1400, **looks):
+        if kind in SITE and not (DOCS / "index.html").exists():
+            missing("the site", "docs")
+        own = DOCS.as_uri() if kind in SITE else pages[kind].as_uri()
+        # The page's own content security policy is bypassed, as it would keep axe out.
+        size = {"width": width, "height": 900}
+        page = browser.new_page(viewport=size, bypass_csp=True, **looks)
+        made.append(page)
+        page.messages = said = []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        is_own = ("data:", "blob:", own)
+        page.on("request", lambda one: one.url.startswith(is_own) or said.append(one.url))
+        page.goto(f"{own}/{SITE[kind]}" if kind in SITE else own)
+        if kind not in SITE:
+            page.wait_for_selector("#player[data-ready]", state="attached")
+        return page
 
     yield make
-    for one in made:
-        one.context.close()
+    for page in made:
+        page.close()
+
+
+def part(page, name):
+    return page.locator(f'[data-part="{name}"]')
+
+
+def drawn(page, name):
+    """Count the pixels of a canvas that are not empty."""
+    script = """canvas => canvas.getContext("2d").getImageData(0, 0, canvas.width,
+        canvas.height).data.filter((value, i) => i % 4 === 3 && value).length"""
+    return int(part(page, name).evaluate(script))
+
+
+def unfold(page):
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_player_runs_without_a_message_or_a_request(kind, opened):
     page = opened(kind)
-    page.page.wait_for_timeout(200)  # a few frames
-    assert page.drawn("view1") > 0
-    assert (page.drawn("scene") > 0) == (kind != "refused")
-    play, time = page.part("play"), page.part("time")
+    page.wait_for_timeout(200)  # a few frames
+    assert drawn(page, "view1") > 0
+    assert (drawn(page, "scene") > 0) == (kind != "refused")
+    play, time = part(page, "play"), part(page, "time")
     if play.inner_text() == "Pause":  # the page of results plays by itself
         play.click()
     before = time.input_value()
     play.press("Space")
-    page.page.wait_for_function(
+    page.wait_for_function(
         "before => document.querySelector('[data-part=\"time\"]').value !== before", arg=before
     )
     play.click()
-    page.page.emulate_media(reduced_motion="reduce")  # the offset jumps, without an animation
+    page.emulate_media(reduced_motion="reduce")  # the offset jumps, without an animation
     if kind != "refused":
         means_px = []
         for button in ("before", "after"):
-            page.part(button).click()
-            page.page.wait_for_timeout(100)
-            means_px.append(float(page.part("mean").inner_text().split()[0]))
+            part(page, button).click()
+            page.wait_for_timeout(100)
+            means_px.append(float(part(page, "mean").inner_text().split()[0]))
         assert means_px[1] <= means_px[0]
     if kind == "several":
-        page.page.locator("#pair").select_option("2")
-        assert page.part("name1").inner_text() == "Camera 2"
-        assert page.part("name2").inner_text() == "Camera 3"
+        page.locator("#pair").select_option("2")
+        assert part(page, "name1").inner_text() == "Camera 2"
+        assert part(page, "name2").inner_text() == "Camera 3"
     assert page.messages == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_keyboard_reaches_and_moves_all_controls(kind, opened):
     page = opened(kind)
-    page.unfold()
-    controls = page.page.locator("button:visible, input:visible, select:visible, summary:visible")
+    unfold(page)
+    controls = page.locator("button:visible, input:visible, select:visible, summary:visible")
     wanted, reached = controls.count(), set()
-    name = """() => { const one = document.activeElement;
+    number = """() => { const one = document.activeElement;
         if (!one.matches("button, input, select, summary")) return "";
         one.dataset.number ??= String(window.reached = (window.reached ?? 0) + 1);
         return one.dataset.number; }"""
     for _ in range(10 * wanted):
-        page.page.keyboard.press("Tab")
-        reached.add(page.page.evaluate(name))
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate(number))
         if len(reached - {""}) == wanted:
             break
     assert len(reached - {""}) == wanted
-    for part in ("slider", "time", *(("turn", "tilt") if kind != "refused" else ())):
-        one = page.part(part)
+    for name in ("slider", "time", *(("turn", "tilt") if kind != "refused" else ())):
+        one = part(page, name)
         one.focus()
         before, key = one.input_value(), "Home" if int(one.input_value()) else "End"
-        page.page.keyboard.press(key)
-        page.page.wait_for_timeout(50)
+        page.keyboard.press(key)
+        page.wait_for_timeout(50)
         assert one.input_value() != before
     assert page.messages == []
 
@@ -201,12 +190,12 @@ def test_all_readers_can_read_it(kind, width, scheme, opened):
         missing("axe")
     # Motion is reduced, as animations would be redrawn for as long as axe runs.
     page = opened(kind, width=width, color_scheme=scheme, reduced_motion="reduce")
-    page.unfold()
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= width
+    unfold(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.messages == []
-    page.page.evaluate(AXE.read_text(encoding="utf-8"))
+    page.evaluate(AXE.read_text(encoding="utf-8"))
     # No preload, as pages on a disk may not read their style sheets again.
-    found = page.page.evaluate("axe.run(document, { resultTypes: ['violations'], preload: false })")
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'], preload: false })")
     said = [
         f"{one['id']}: {one['nodes'][0]['html'][:200]}: {one['nodes'][0]['failureSummary']}"
         for one in found["violations"]
@@ -216,8 +205,8 @@ def test_all_readers_can_read_it(kind, width, scheme, opened):
 
 def test_a_search_begins_with_the_page_that_answers(opened):
     page = opened("search")
-    page.page.get_by_text("Search finished").wait_for()
-    found = page.page.locator("#search-results li a")
+    page.get_by_text("Search finished").wait_for()
+    found = page.locator("#search-results li a")
     assert (found.first.get_attribute("href") or "").startswith("docs/refusal.html")
     assert page.messages == []
 
@@ -225,13 +214,13 @@ def test_a_search_begins_with_the_page_that_answers(opened):
 @pytest.mark.parametrize("kind", ["index", "tour"])
 def test_a_figure_opens_and_closes_by_keyboard(kind, opened):
     page = opened(kind)
-    page.page.locator("button.figure").first.press("Enter")
-    dialog = page.page.locator("dialog")
+    page.locator("button.figure").first.press("Enter")
+    dialog = page.locator("dialog")
     dialog.wait_for()
-    page.page.keyboard.press("Escape")
+    page.keyboard.press("Escape")
     dialog.wait_for(state="detached")
     # Links show the titles of their pages, and not the names of files.
-    assert not re.search(r"\bdocs/\w+\.md\b", page.page.locator("article").inner_text())
+    assert not re.search(r"\bdocs/\w+\.md\b", page.locator("article").inner_text())
 
 
 def test_nothing_is_skipped_where_all_could_be_installed(monkeypatch):
