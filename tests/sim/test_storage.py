@@ -26,8 +26,7 @@ from ssac.files.rigs import load_rig
 from tests.sim import scenes
 
 T_D_S = 0.05
-SPLINE = {"duration_s": 20.0}
-PROVENANCE = {"seed": 3, "spline": SPLINE, "files": ["a.csv"], "none": None, "on": True}
+PROVENANCE = {"seed": 3, "spline": {"a": 2.0}, "files": ["a.csv"], "none": None, "on": True}
 QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 
 
