@@ -114,13 +114,6 @@ def test_a_thin_pole_is_split_into_few_pieces_along_it(lens):
     assert len(faces.albedo) < 2000  # by the width it would be some millions
 
 
-@pytest.mark.parametrize(
-    "drone", [*map(built_in_drone, DRONES), printed(), quadrotor(rotor_hz=40.0)]
-)
-def test_pieces_of_what_is_flat_are_a_share_of_its_width(drone):
-    assert piece_size_m(drone, make_camera("radtan"), 0.25) == 0.25 * drone.size_m
-
-
 def test_open_mesh_shows_both_sides(tmp_path):
     box = trimesh.creation.box()
     box.update_faces(np.arange(12) > 1)
@@ -169,7 +162,8 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path):
         *(bird(flap_hz=0.0), *map(built_in_drone, DRONES), printed()),
     ],
 )
-def test_every_piece_is_closed_and_faces_outward(drone):
+def test_a_drone_is_of_closed_pieces_that_face_outward_and_is_split_by_its_width(drone):
+    assert piece_size_m(drone, make_camera("radtan"), 0.25) == 0.25 * drone.size_m  # as it is flat
     for part in drone.parts:
         pieces = as_mesh(part).split()
         assert sum(len(piece.faces) for piece in pieces) == len(part.faces)
