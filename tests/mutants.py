@@ -76,30 +76,28 @@ def verdict(mutant: Mutant, tree: Path) -> str:
     """Apply a mutant to a copy of the tree, run its tests there, and undo it."""
     path, mutated = tree / mutant.file, mutant.mutated(tree)
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
-    with tempfile.TemporaryDirectory(dir=tree.parent) as own_cache:
-        # A cached kernel does not notice that a kernel it calls has changed.
-        cache = own_cache if "njit" in text else None
-        try:
-            path.write_text(mutated, encoding="utf-8")
-            code, said = _tested(tree, mutant.arguments(tree), cache)
-        except subprocess.TimeoutExpired:
-            return "killed (it did not end)"
-        finally:
-            path.write_text(text, encoding="utf-8")
-            os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    # A cached kernel does not notice that a kernel it calls has changed.
+    cache = {"NUMBA_CACHE_DIR": str(tree.parent / mutant.name)} if "njit" in text else {}
+    try:
+        path.write_text(mutated, encoding="utf-8")
+        code, said = _tested(tree, mutant.arguments(tree), cache)
+    except subprocess.TimeoutExpired:
+        return "killed (it did not end)"
+    finally:
+        path.write_text(text, encoding="utf-8")
+        os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     failed = [line[7:].split(" - ")[0] for line in said.splitlines() if line.startswith("FAILED ")]
     if code != 1 or not failed:
         return "survived" if code == 0 else f"no verdict:\n{said}"
-    without, _ = _tested(tree, failed[:1], None)
+    without, _ = _tested(tree, failed[:1], {})
     return (
         f"killed {failed[0]}" if without == 0 else f"no verdict: without it too {failed[0]} fails"
     )
 
 
-def _tested(tree: Path, arguments: Sequence[str], cache: str | None) -> tuple[int, str]:
+def _tested(tree: Path, arguments: Sequence[str], cache: dict[str, str]) -> tuple[int, str]:
     """Run tests up to the first failure; return pytest's exit code and output."""
-    settings = os.environ | {"PYTHONPATH": str(tree)}
-    settings |= {} if cache is None else {"NUMBA_CACHE_DIR": cache}
+    settings = os.environ | {"PYTHONPATH": str(tree)} | cache
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *arguments]
     done = subprocess.run(
         command, cwd=tree, env=settings, timeout=TIMEOUT_S, capture_output=True, text=True,
