@@ -102,11 +102,6 @@ def _tracks(
     return Seen(frame_tracks(LONG, t_d_s, rate, (readout_s, 0.0)), (LONG,), options=options)
 
 
-def _rounded(seen: Seen) -> Seen:
-    tracks = [replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in seen.cameras]
-    return replace(seen, cameras=tracks)
-
-
 def _wandering() -> Seen:
     one, other = frame_tracks(LONG, 0.3)
     wandered_s = other.times_s + 0.012 * np.sin(2.0 * np.pi * other.times_s / LONG.duration_s)
@@ -122,11 +117,6 @@ def _three(seed: int, share: float = 1.0) -> list[Any]:
     first, second = _round(seed)
     one, two = make_events(first, seed, T_D_S, RATE_HZ * share, SIZE_M)
     return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ * share, SIZE_M)[1]]
-
-
-def _three_with_another() -> Seen:
-    both = zip(_three(4), _three(5, 0.5), strict=True)
-    return Seen([mixed(*one)[0] for one in both], _round(4))
 
 
 FAR_S = 1000.0
@@ -160,7 +150,10 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "tracks": _tracks,
     "tracks_far_apart": lambda: _tracks(7.3),
     "tracks_in_an_interval": lambda: _tracks(config={"interval_s": (-0.5, 0.6)}),
-    "rounded_tracks": lambda: _rounded(_tracks()),
+    "rounded_tracks": lambda: Seen(
+        [replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in _tracks().cameras],
+        (LONG,),
+    ),
     "wandering_clock": _wandering,
     "tracks_of_3_s": lambda: Seen(frame_tracks(SHORT, T_D_S), (SHORT,)),
     "tracks_at_rest": lambda: Seen(frame_tracks(REST, T_D_S)),
@@ -169,7 +162,9 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], frame_tracks(SCENE, T_D_S)[1])),
     # Three cameras
     "three_cameras": lambda: Seen(_three(4), _round(4)),
-    "three_cameras_two_drones": _three_with_another,
+    "three_cameras_two_drones": lambda: Seen(
+        [mixed(*both)[0] for both in zip(_three(4), _three(5, 0.5), strict=True)], _round(4)
+    ),
     "three_mixed": lambda: Seen(
         (*_three(4)[:2], frame_track(_round(4)[1], 2, 25.0, 0.2)), _round(4)
     ),
