@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.experiments.lab.squares import write_squares
 from tests.experiments.reported import record_flight
 
 
@@ -11,3 +12,10 @@ def flight_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flight")
     record_flight(folder)
     return folder
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """The files of `ssac study squares`, which a test may damage."""
+    write_squares(tmp_path / "results")
+    return tmp_path / "results"

@@ -1,4 +1,4 @@
-"""A tiny study for tests, a folder of its results, and ways to damage a file of results."""
+"""A tiny study for tests, a folder of its results, and ways to damage the text of a result."""
 
 import os
 import re
@@ -16,8 +16,7 @@ from experiments.lab.provenance import provenance
 from experiments.lab.results import Results, csv_text, record_checksums, save_text
 from experiments.lab.study import Made, Runs, Study, save_made
 from experiments.lab.verify import between
-
-GL = {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"}
+from tests.experiments.reported import PROVENANCE
 
 
 @dataclass(frozen=True)
@@ -40,10 +39,8 @@ def squared(cell: SquareCell, loaded: object) -> SquareRow:
 
 def sums(results: Results) -> pd.DataFrame:
     runs = results.table("squares_runs")
-    ok = runs[runs["status"] == "ok"]
-    return pd.DataFrame(
-        {"half": ["low", "high"], "sum": [ok["square"][:3].sum(), ok["square"][3:].sum()]}
-    )
+    squares = runs.loc[runs["status"] == "ok", "square"]
+    return pd.DataFrame({"half": ["low", "high"], "sum": [squares[:3].sum(), squares[3:].sum()]})
 
 
 def drawn(results: Results) -> Figure:
@@ -70,13 +67,11 @@ SQUARES = Study(
 def write_squares(folder: Path) -> None:
     """Write the files that `ssac study squares` writes."""
     folder.mkdir(parents=True)
-    rows = [
-        {"cell": n, **cell.columns, **vars(squared(cell, None))}
-        for n, cell in enumerate(SQUARES.cells())
-    ]
-    save_text(folder / "squares_runs.csv", csv_text(pd.DataFrame(rows)))
+    rows = [{**cell.columns, **vars(squared(cell, None))} for cell in SQUARES.cells()]
+    table = pd.DataFrame(rows).reset_index(names="cell")
+    save_text(folder / "squares_runs.csv", csv_text(table))
     content = provenance("ssac study squares", {"study": "squares", **SQUARES.config}, 1.0, None)
-    content |= {"commit": "0123456789ab", "gl": GL}
+    content |= {name: PROVENANCE[name] for name in ("commit", "gl")}
     record_checksums(folder, save_made(SQUARES, folder, Cache(folder / "none"), content))
 
 
@@ -90,31 +85,24 @@ def process_row(cell: SquareCell, loaded: object) -> SquareRow:
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 
 
-def double_a_number(path: Path) -> None:
+def double_a_number(text: str) -> str:
     """Double the last number that is not 0."""
-    text = path.read_text(encoding="utf-8")
     last = [found for found in _NUMBER.finditer(text) if float(found.group()) != 0.0][-1]
-    doubled = f"{2.0 * float(last.group()):.6g}"
-    path.write_text(text[: last.start()] + doubled + text[last.end() :], encoding="utf-8")
+    return f"{text[: last.start()]}{2.0 * float(last.group()):.6g}{text[last.end() :]}"
 
 
-def change_a_status(path: Path) -> None:
-    before, ok, after = path.read_text(encoding="utf-8").rpartition(",ok,")
-    assert ok
-    path.write_text(f"{before},no_match,{after}", encoding="utf-8")
+def change_a_status(text: str) -> str:
+    return ",no_match,".join(text.rsplit(",ok,", 1))
 
 
-def delete_a_row(path: Path) -> None:
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    path.write_text("".join([*lines[:-2], lines[-1]]), encoding="utf-8")
+def delete_a_row(text: str) -> str:
+    *others, _, last = text.splitlines(keepends=True)
+    return "".join([*others, last])
 
 
-def double_a_row(path: Path) -> None:
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    path.write_text("".join([*lines, lines[-1]]), encoding="utf-8")
+def double_a_row(text: str) -> str:
+    return text + text.splitlines(keepends=True)[-1]
 
 
-def flip_a_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(bytes(content))
+def flipped(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]

@@ -8,15 +8,8 @@ import pandas as pd
 import pytest
 
 from experiments import commands
-from experiments.lab import schedule
-from experiments.lab.again import (
-    ROUNDING,
-    draw,
-    measured_by,
-    recomputed,
-    row_faults,
-    sources_of,
-)
+from experiments.lab import again, schedule
+from experiments.lab.again import draw, sources_of
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import Runs
@@ -24,13 +17,7 @@ from experiments.studies import all_studies
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
 from tests.experiments.command import run
-from tests.experiments.lab.squares import SQUARES, change_a_status, double_a_number, write_squares
-
-
-@pytest.fixture
-def results(tmp_path):
-    write_squares(tmp_path / "results")
-    return tmp_path / "results"
+from tests.experiments.lab.squares import SQUARES, change_a_status, double_a_number
 
 
 def names(drawn):
@@ -67,28 +54,22 @@ def test_slow_studies_are_drawn_from_only_if_asked_for():
 @pytest.mark.parametrize(
     ("damage", "fault"),
     [
+        (str, None),
         (double_a_number, "cell 5: square is 49, committed: 98. "),
         (change_a_status, "cell 5: status is ok, committed: no_match. "),
-        (Path.unlink, "SsacError: "),
+        (None, "SsacError: "),
     ],
 )
 def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     results, tmp_path, monkeypatch, damage, fault
 ):
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
-    drawn = draw([SQUARES], 1, 0)
-
-    def made_again(name):
-        (tmp_path / name).mkdir()
-        return recomputed(drawn, Results(results), tmp_path / name, Workers(1))
-
-    (same,) = made_again("first")
-    assert same.faults == ()
-    assert same.what.startswith("squares_runs.csv: 6 runs on the recording of number 2")
-    damage(results / "squares_runs.csv")
-    (other,) = made_again("second")
-    assert len(other.faults) == 1
-    assert other.faults[0].startswith(fault)
+    text, there = (results / "squares_runs.csv").read_text(), tmp_path / "none"
+    committed = Results(there, {"squares_runs.csv": damage(text)} if damage else {})
+    (finding,) = again.recomputed(draw([SQUARES], 1, 0), committed, tmp_path, Workers(1))
+    assert finding.what.startswith("squares_runs.csv: 6 runs on the recording of number 2")
+    assert len(finding.faults) == (fault is not None)
+    assert "".join(finding.faults).startswith(fault or "")
 
 
 def row(**changes):
@@ -101,12 +82,13 @@ def row(**changes):
 
 RUNS = Runs("runs.csv", ("flight", "method"), numbered=False)
 TABLES = replace(all_studies()["tables"], runs=RUNS)
-MEASURED = measured_by(TABLES)
+MEASURED = again.measured_by(TABLES)
 WORDS = "23 sample times are valid at 0.055 s, 33 % beyond, 5 deg apart: 30 are needed"
 
 
-def faults(again, committed):
-    return row_faults(again, TABLES, Results(Path(), {"runs.csv": committed.to_csv(index=False)}))
+def faults(mine, committed):
+    theirs = Results(Path(), {"runs.csv": committed.to_csv(index=False)})
+    return again.row_faults(mine, TABLES, theirs)
 
 
 @pytest.mark.parametrize(
@@ -137,36 +119,24 @@ def faults(again, committed):
         ("tangency", "n_events_cam1", "1234567", "1234568", False),
         ("tangency", "status", "ok", "search_bound", False),
         # A reason may differ in the last digit of a measured number, not in a count or a word.
-        *(
-            ("joint", "reason", WORDS.replace(old, new), WORDS, is_same)
-            for old, new, is_same in (
-                ("0.055", "0.056", True),
-                ("33 %", "34 %", True),
-                ("5 deg", "4 deg", True),
-                ("0.055", "0.057", False),
-                ("33 %", "66 %", False),
-                ("5 deg", "10 deg", False),
-                ("23 sample", "24 sample", False),
-                ("30 are", "31 are", False),
-                ("0.055", "-0.055", False),
-                ("0.055", "0.06", False),
-                ("beyond", "within", False),
-            )
-        ),
+        *(("joint", "reason", WORDS.replace(*change), WORDS, True)
+          for change in (("0.055", "0.056"), ("33 %", "34 %"), ("5 deg", "4 deg"))),
+        *(("joint", "reason", WORDS.replace(*change), WORDS, False)
+          for change in (("0.055", "0.057"), ("33 %", "66 %"), ("5 deg", "10 deg"),
+                         ("23 sample", "24 sample"), ("30 are", "31 are"), ("0.055", "-0.055"),
+                         ("0.055", "0.06"), ("beyond", "within"))),
     ],
-)
-def test_every_number_counts_on_any_machine_and_may_differ_by_rounding(
-    method, name, mine, committed, is_same
-):
+)  # fmt: skip
+def test_every_number_counts_and_may_differ_by_rounding(method, name, mine, committed, is_same):
     assert mine != committed
     for one, other in ((mine, committed), (committed, mine)):
         found = faults(row(method=method, **{name: one}), row(method=method, **{name: other}))
         assert (found == []) == is_same
         assert all(f"{name} is " in fault for fault in found)
-    assert 1000.0 * ROUNDING < 0.01  # the paper's tables print 0.01 ms and 0.01 deg
+    assert 1000.0 * again.ROUNDING < 0.01  # the paper's tables print 0.01 ms and 0.01 deg
 
 
-def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone():
+def test_no_number_may_be_doubled_halved_or_negated_and_no_column_or_run_gone():
     assert faults(row(), row()) == []
     for name, value in row().iloc[0].items():
         if name in MEASURED or str(name).startswith("n_"):
@@ -177,9 +147,6 @@ def test_no_number_may_be_doubled_halved_or_negated_and_no_column_gone():
             assert f"{name} is {value}, committed: no column" in fault
             (fault,) = faults(row().drop(columns=name), row())
             assert f"{name} is no column, committed" in fault
-
-
-def test_a_run_that_is_gone_or_crashes_again_is_found():
     (fault,) = faults(row(), row(flight="4"))
     assert fault == "flight 3, method joint: no such run is committed"
     crash = row(status="crashed", reason="tangency: KeyError: 1")
@@ -189,14 +156,9 @@ def test_a_run_that_is_gone_or_crashes_again_is_found():
 
 def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkeypatch):
     seen = []
-
-    def made_again(drawn, *_):
-        seen.append(names(drawn))
-        return []
-
     monkeypatch.setattr(commands, "all_studies", lambda: {"squares": SQUARES})
     monkeypatch.setattr(commands, "PUBLISHED_SHA256", {})
-    monkeypatch.setattr(commands, "recomputed", made_again)
+    monkeypatch.setattr(commands, "recomputed", lambda drawn, *_: seen.append(names(drawn)) or [])
     (results.parent / "README.md").write_text("<!--n:squares.sum-->29<!--/n-->")
     verify = partial(run, "verify", "--results", results, "--workers", 1)
     output = verify("--recordings", 3)

@@ -3,8 +3,8 @@
 import pytest
 
 from experiments import commands
-from experiments.commands import numbers_command, page_findings
 from experiments.lab.quote import rewrite_numbers, stale_numbers
+from experiments.lab.results import save_text
 from experiments.lab.summary import digits, listed, markdown_table
 from experiments.studies import all_studies
 from ssac.errors import SsacError
@@ -28,8 +28,8 @@ def _sum(half):
 
 
 def _table(results):
-    table = results.table("squares")
-    return markdown_table(list(table), [[str(cell) for cell in row] for row in table.to_numpy()])
+    table = results.table("squares").astype(str)
+    return markdown_table(list(table), table.to_numpy().tolist())
 
 
 NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _table}
@@ -38,11 +38,13 @@ NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _tabl
 @pytest.fixture
 def root(tmp_path):
     """Return a small project: one page, one file of results."""
-    (tmp_path / "docs").mkdir()
-    (tmp_path / "results").mkdir()
-    (tmp_path / "README.md").write_text(PAGE)
-    (tmp_path / "results" / "squares.csv").write_text("half,sum\nlow,29\nhigh,110\n")
-    (tmp_path / "results" / "squares.provenance.json").write_text('{"wall_time_s": 90.0}')
+    for name, text in (
+        ("README.md", PAGE),
+        ("docs/a.md", ""),
+        ("results/squares.csv", "half,sum\nlow,29\nhigh,110\n"),
+        ("results/squares.provenance.json", '{"wall_time_s": 90.0}'),
+    ):
+        save_text(tmp_path / name, text)
     return tmp_path
 
 
@@ -62,10 +64,10 @@ def test_numbers_are_written_once_and_then_stay_until_a_result_changes(root, mon
     assert "README.md:3: sum.low is '30', not '29'" in stale[0]
     monkeypatch.setattr(commands, "all_numbers", lambda: NUMBERS)
     with pytest.raises(SsacError, match="2 stale numbers"):
-        numbers_command(root, check=True)
-    (finding,) = page_findings(root / "results")
+        commands.numbers_command(root, check=True)
+    (finding,) = commands.page_findings(root / "results")
     assert list(finding.faults) == stale
-    assert not page_findings(root)  # results of another place: no page quotes them
+    assert not commands.page_findings(root)  # results of another place: no page quotes them
     (typed,) = stale_numbers(root, {"cubes": str} | NUMBERS)[2:]
     assert typed == "cubes is declared and no page quotes it: was it typed by hand?"
 
@@ -89,14 +91,10 @@ def test_a_gap_in_the_results_names_the_number(root, old, new, said):
 
 def test_an_unknown_name_is_stale_and_a_comment_that_is_not_closed_an_error(root):
     rewrite_numbers(root, NUMBERS)
-    page = root / "docs" / "a.md"
-    page.write_text(
-        "<!--n:minutes.squares-->1.5<!--/n--> <!--n:minutes.cubes-->1<!--/n-->"
-        " <!--n:no.such-->1<!--/n-->\n"
-    )
-    first, second = stale_numbers(root, NUMBERS)
-    assert "minutes.cubes: no such number" in first
-    assert "no.such: no such number" in second
+    page, names = root / "docs" / "a.md", ("minutes.squares", "minutes.cubes", "no.such")
+    page.write_text(" ".join(f"<!--n:{name}-->1.5<!--/n-->" for name in names))
+    for stale, name in zip(stale_numbers(root, NUMBERS), names[1:], strict=True):
+        assert f"{name}: no such number" in stale
     for text in ("<!--n:a-->1\n\n<!--n:b-->2<!--/n-->\n", "`<!--n:a-->`\n\n<!--n:b-->2\n"):
         page.write_text(text)
         (line,) = stale_numbers(root, NUMBERS)
@@ -105,8 +103,7 @@ def test_an_unknown_name_is_stale_and_a_comment_that_is_not_closed_an_error(root
 
 def test_names_of_our_numbers_are_single_words_and_of_one_study_each():
     names = [name for study in all_studies().values() for name in study.numbers]
-    assert all(" " not in name for name in names)
-    assert len(names) == len(set(names))
+    assert not [name for name in names if " " in name or names.count(name) > 1]
 
 
 def test_numbers_and_lists_in_words():

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from shutil import copytree
 
 import pytest
 
@@ -11,27 +9,9 @@ from experiments.lab import verify
 from experiments.lab.results import SUMS_FILE, Results, record_checksums
 from experiments.lab.study import Runs
 from experiments.studies import all_studies
-from tests.experiments.lab.squares import (
-    SQUARES,
-    delete_a_row,
-    double_a_number,
-    double_a_row,
-    flip_a_byte,
-    write_squares,
-)
+from tests.experiments.lab import squares
+from tests.experiments.lab.squares import SQUARES
 from tests.experiments.reported import RESULTS
-
-
-@pytest.fixture(scope="module")
-def complete(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("verify") / "results"
-    write_squares(folder)
-    return folder
-
-
-@pytest.fixture
-def results(complete, tmp_path):
-    return Path(copytree(complete, tmp_path / "results"))
 
 
 def all_of(folder):
@@ -48,20 +28,18 @@ def sums_made_anew(folder):
     record_checksums(folder, [path for path in folder.rglob("*") if path.is_file()])
 
 
-def test_complete_results_have_no_fault(complete):
-    findings = all_of(complete)
-    assert [line for finding in findings if finding.faults for line in finding.lines()] == []
+def test_complete_results_have_no_fault_and_any_damage_is_found_by_a_checksum(results):
+    findings = all_of(results)
+    assert not faulty(findings)
     assert len(findings) == 3 + 2 + 2 + 3 + 1
-
-
-def test_every_damage_to_any_file_is_found_by_its_checksum(results):
     for name in (*SQUARES.files, *SQUARES.provenances, SUMS_FILE):
         path = results / name
         content = path.read_bytes()
-        for damage in (Path.unlink, flip_a_byte):
-            damage(path)
-            assert faulty(verify.file_findings(results, [SQUARES])), f"{damage.__name__}: {name}"
-            path.write_bytes(content)
+        path.unlink()
+        assert faulty(verify.file_findings(results, [SQUARES])), name
+        path.write_bytes(squares.flipped(content, len(content) // 2))
+        assert faulty(verify.file_findings(results, [SQUARES])), name
+        path.write_bytes(content)
 
 
 def test_another_picture_and_a_file_that_no_command_leaves_are_found(results):
@@ -107,11 +85,11 @@ def test_a_wrong_provenance_is_found(results, old, new, fault):
 
 def test_a_shard_alone_is_not_the_study_but_merged_shards_are(results):
     path = results / "squares.provenance.json"
-    text = path.read_text()
-    shards = [
-        text.replace('"ssac study squares"', f'"ssac study squares --shard {n}/2"') for n in (1, 2)
-    ]
-    path.write_text(f'{{"command": "ssac merge", "config": {{}}, "shards": [{",".join(shards)}]}}')
+    one, other = (
+        path.read_text().replace("ssac study squares", f"ssac study squares --shard {n}/2")
+        for n in (1, 2)
+    )
+    path.write_text(f'{{"command": "ssac merge", "config": {{}}, "shards": [{one}, {other}]}}')
     sums_made_anew(results)
     assert not faulty(all_of(results))
 
@@ -127,14 +105,14 @@ def test_a_number_made_on_another_processor_may_differ_by_its_last_digit(results
     assert what in faulty(all_of(results))
 
 
-def test_runs_that_two_studies_share_are_the_same(results, tmp_path):
-    other = tmp_path / "results" / "others_runs.csv"
-    other.write_text((results / "squares_runs.csv").read_text())
+def test_runs_that_two_studies_share_are_the_same(results):
+    text = (results / "squares_runs.csv").read_text()
     twins = SQUARES, replace(SQUARES, name="others", runs=Runs("others_runs.csv", ("number",)))
-    assert not faulty(verify.shared_findings(twins, Results(results)))
-    double_a_number(other)
-    faults = [one.faults for one in verify.shared_findings(twins, Results(results)) if one.faults]
-    assert faults == [("row 5: square is 98, there 49 (squares_runs.csv, row 5)",)]
+    fault = "row 5: square is 98, there 49 (squares_runs.csv, row 5)"
+    for others, faults in ((text, ()), (squares.double_a_number(text), (fault,))):
+        beside = Results(results, {"others_runs.csv": others})
+        _, found = verify.shared_findings(twins, beside)
+        assert found.faults == faults
 
 
 def test_faults_are_short_and_name_the_line():
@@ -146,11 +124,6 @@ def test_faults_are_short_and_name_the_line():
     lines = list(verify.Finding("something", tuple("abcdefgh")).lines())
     assert lines[0] == "differs something"
     assert lines[-1].strip() == "- and 3 more"
-
-
-@pytest.fixture(scope="module")
-def damaged(tmp_path_factory):
-    return Path(copytree(RESULTS, tmp_path_factory.mktemp("committed") / "results"))
 
 
 UNGUARDED = ("network_runs.csv", "bench_growth.csv", "real_strays.csv", "reasons_runs.csv")
@@ -173,9 +146,9 @@ def once(make):
 
 
 @pytest.mark.parametrize(("name", "file"), COMMITTED)
-def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, file):
+def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(name, file):
     """A row that is gone, doubled or changed is a fault, or makes a number on a page stale."""
-    study, path, committed = all_studies()[name], damaged / file, Results(RESULTS)
+    study, committed = all_studies()[name], Results(RESULTS)
     is_of_runs = study.runs is not None and file == study.runs.file
     followed = [
         replace(one, make=once(one.make)) if one.follows and not is_of_runs else one
@@ -185,15 +158,12 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
     study = replace(study, makes=tuple(followed))  # other files are not made again
     if file.endswith(".csv") and not is_of_runs:
         study = replace(study, runs=None)  # and the runs are not checked
-    content = path.read_bytes()
-    for damage in (delete_a_row, double_a_row, double_a_number):
-        if damage is double_a_number and file in UNGUARDED:
-            continue
-        damage(path)
-        is_changed, results = path.read_bytes() != content, Results(damaged)
-        is_found = any(one.faults for one in verify.study_findings(study, results))
-        if not is_found:
-            is_found = any(one(results) != one(committed) for one in study.numbers.values())
-        path.write_bytes(content)
-        assert is_changed
+    text = committed.text(file)
+    damages = [squares.delete_a_row, squares.double_a_row]
+    for damage in damages if file in UNGUARDED else [*damages, squares.double_a_number]:
+        damaged = Results(RESULTS, {file: damage(text)})
+        assert damaged.text(file) != text
+        is_found = any(one.faults for one in verify.study_findings(study, damaged)) or any(
+            one(damaged) != one(committed) for one in study.numbers.values()
+        )
         assert is_found, damage.__name__

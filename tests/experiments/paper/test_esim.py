@@ -66,8 +66,8 @@ def test_columns_are_those_of_the_methods_in_order():
     assert table["joint_r_error_deg_mean"].isna().all()
     assert (table["joint_failed"] == 10).all()
     # Methods of other packages come last, by name.
-    names = ["zzz", "zncc_e", "aaa", "joint", "zzz"]
-    assert method_order(names) == ["joint", "zncc_e", "aaa", "zzz"]
+    ordered = method_order(["zzz", "zncc_e", "aaa", "joint", "zzz"])
+    assert ordered == ["joint", "zncc_e", "aaa", "zzz"]
 
 
 def test_a_failed_run_does_not_enter_the_means_but_is_counted():

@@ -1,7 +1,6 @@
 """The default compared with settings by hand: recordings are drawn, judged and summed up."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -44,19 +43,14 @@ def test_recordings_are_as_their_kind_says(kind: str) -> None:
 
 
 def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
-    wrong = [
-        replace(RIGHT, t_d_normalised=-4.1),
-        replace(RIGHT, t_d_error_ms=10.1),
-        # 4.6 for two angles together is as improbable as 4.1 for one; up to 3 deg are allowed.
-        replace(RIGHT, t_mahalanobis=4.6, t_error_deg=3.1),
-        REFUSED,
-    ]
-    not_wrong = [RIGHT, POSELESS, replace(RIGHT, r_mahalanobis=9.0)]
-    rows = pd.DataFrame([vars(row) for row in (*not_wrong, *wrong)])
+    far, late = replace(RIGHT, t_d_normalised=-4.1), replace(RIGHT, t_d_error_ms=10.1)
+    turned = replace(RIGHT, r_mahalanobis=9.0)
+    # 4.6 for two angles together is as improbable as 4.1 for one; up to 3 deg are allowed.
+    tilted = replace(RIGHT, t_mahalanobis=4.6, t_error_deg=3.1)
+    rows = pd.DataFrame(map(vars, (RIGHT, POSELESS, turned, far, late, tilted, REFUSED)))
     assert by_hand.right(rows).tolist() == 3 * [True] + 4 * [False]
-    assert by_hand.beyond(rows)["R"].tolist() == [False, False, True] + 4 * [False]
-    assert by_hand.beyond(rows)["t_d"].tolist() == 3 * [False] + [True] + 3 * [False]
-    assert by_hand.beyond(rows)["t"].tolist() == 5 * [False] + [True, False]
+    beyond = {name: list(rows.index[of]) for name, of in by_hand.beyond(rows).items()}
+    assert beyond == {"t_d": [3], "R": [2], "t": [5]}
 
 
 def test_the_table_says_what_became_of_each_recording() -> None:
@@ -92,9 +86,7 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     assert len({place for line in places for place in line}) == 3 * len(table)  # all apart
 
 
-def test_the_command_tries_settings_where_the_default_is_not_right(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_tries_settings_where_the_default_is_not_right(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(by_hand, "recorded_pair", lambda *_: flown())
     some = {name: SETTINGS[name] for name in (by_hand.UNASKED, "--search-all", "--method joint")}
     monkeypatch.setattr(by_hand, "SETTINGS", some)

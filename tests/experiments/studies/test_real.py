@@ -7,7 +7,6 @@ import os
 import re
 from itertools import combinations
 from pathlib import Path
-from shutil import copy
 
 import numpy as np
 import pandas as pd
@@ -16,21 +15,13 @@ import pytest
 from experiments.lab.results import Results
 from experiments.lab.verify import found
 from experiments.studies import real
-from experiments.studies.real import COLUMNS, PAIRS, PATHS, SHIFTED, STRAYS, TRIPLES, WITH_TRUTH
+from experiments.studies.real import PAIRS, PATHS, SHIFTED, STRAYS, TRIPLES, WITH_TRUTH
 from experiments.worlds.tracks import VARIABLE_RATES, data_sets, load_rtk, path_of
 from ssac.errors import SsacError
 from tests.experiments.reported import RESULTS
 
 DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; not ours to ship
 (STUDY,) = real.STUDIES
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A copy of the committed tables, which a test may spoil."""
-    for name in COLUMNS:
-        copy(RESULTS / f"{name}.csv", tmp_path)
-    return tmp_path
 
 
 @pytest.mark.parametrize(
@@ -54,28 +45,24 @@ def folder(tmp_path: Path) -> Path:
         (PATHS, r"(\n1,4,,(?:[\d.]+,){3})[\d.]+", r"\g<1>0.01", "real_paths.csv, row 0: rmse_m is"),
     ],
 )
-def test_what_makes_no_sense_is_found(folder, name, old, new, fault) -> None:
-    text = (folder / f"{name}.csv").read_text()
-    spoilt, n_found = re.subn(old, new, text, count=1)
+def test_what_makes_no_sense_is_found(name, old, new, fault) -> None:
+    spoilt, n_found = re.subn(old, new, (RESULTS / f"{name}.csv").read_text(), count=1)
     assert n_found == 1
-    (folder / f"{name}.csv").write_text(spoilt)
-    results = Results(folder)
+    results = Results(RESULTS, {f"{name}.csv": spoilt})
     findings = [found(what, lambda check=check: check(results)) for what, check in STUDY.checks]
     faults = [one for finding in findings for one in finding.faults]
     assert any(one.startswith(fault) for one in faults), faults
 
 
-def test_a_camera_that_is_off_is_told_from_the_others(folder: Path) -> None:
+def test_a_camera_that_is_off_is_told_from_the_others() -> None:
     off_ms = np.array([3.0, 3.0, 0.0, 0.0, -3.0, 2.0, -2.0])
     off_ms[SHIFTED] = -40.0
-    table = Results(folder).table(PAIRS)
-    rows = []
+    first, rows = dict(Results(RESULTS).table(PAIRS).iloc[0]), []
     for i, j in combinations(range(len(off_ms)), 2):
-        row = dict(table.iloc[0]) | {"data_set": WITH_TRUTH, "camera_1": i, "camera_2": j}
+        row = first | {"data_set": WITH_TRUTH, "camera_1": i, "camera_2": j}
         wild_ms = 500.0 if {(WITH_TRUTH, i), (WITH_TRUTH, j)} & VARIABLE_RATES else 0.0
         rows.append(row | {"from_truth_ms": off_ms[j] - off_ms[i] + wild_ms})
-    pd.DataFrame(rows).to_csv(folder / f"{PAIRS}.csv", index=False)
-    results = Results(folder)
+    results = Results(RESULTS, {f"{PAIRS}.csv": pd.DataFrame(rows).to_csv(index=False)})
     assert STUDY.numbers["real.camera1.apart"](results) == "-40 ms"  # the others' mean is 0
     assert STUDY.numbers["real.off"](results) == "43 ms"
     assert STUDY.numbers["real.off.others"](results) == "6 ms"
