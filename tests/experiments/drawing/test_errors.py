@@ -10,16 +10,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.drawing import style
-from experiments.drawing.errors import (
-    REFINED,
-    ablation_figure,
-    beyond_figure,
-    error_figure,
-    flight_means,
-    published_means,
-    success_figure,
-)
+from experiments.drawing import errors, style
+from experiments.drawing.errors import ablation_figure, beyond_figure, error_figure, flight_means
 from experiments.lab.grid import GridConfig, named_config
 from experiments.lab.results import DPI, Results, png_bytes
 from experiments.paper.comparison import load_published
@@ -48,18 +40,25 @@ def labels(figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+def hollow(axes) -> list:
+    return [line for line in axes.lines if line.get_markerfacecolor() == "white"]
+
+
+def dashed(axes) -> list:
+    return [line for line in axes.lines if line.get_linestyle() == "--"]
+
+
 def panels_of(figure) -> list[tuple]:
     of = product(ERRORS, (10.0, 20.0))
     return [(axes, *one) for axes, one in zip(figure.axes, of, strict=True)]
 
 
 def papers(duration_s: float, method: str, error: str) -> list[float]:
-    return published_means(PUBLISHED, duration_s, method, error)["mean"].tolist()
+    return errors.published_means(PUBLISHED, duration_s, method, error)["mean"].tolist()
 
 
 def test_means_are_over_the_runs_that_did_not_fail_and_a_flight_counts_once() -> None:
-    runs = runs_of(20.0)
-    runs = runs[runs["method"] == "ssac"].reset_index(drop=True)
+    runs = runs_of(20.0).query("method == 'ssac'").reset_index(drop=True)
     gross = runs.copy()
     gross.loc[0, ["status", "t_d_error_ms"]] = ["search_bound", 1e6]
     means = flight_means(gross, "t_d_error_ms")
@@ -69,8 +68,7 @@ def test_means_are_over_the_runs_that_did_not_fail_and_a_flight_counts_once() ->
     of_one = runs[runs["t_d_ms"] == 50.0]
     thrice = pd.concat([of_one.assign(t_d_ms=t_d_ms) for t_d_ms in (5.0, 50.0, 500.0)])
     once, repeated = flight_means(of_one, "r_error_deg"), flight_means(thrice, "r_error_deg")
-    columns = ["mean", "standard_error"]
-    np.testing.assert_allclose(repeated[columns], once[columns])
+    np.testing.assert_allclose(repeated.iloc[:, :2], once.iloc[:, :2])
     deviation = at_30.loc[at_30["t_d_ms"] == 50.0, "r_error_deg"].std(ddof=1)
     assert once["standard_error"].iloc[0] == pytest.approx(deviation / np.sqrt(4))
     of_one_flight = flight_means(thrice[thrice["flight"] == 0], "r_error_deg")
@@ -78,14 +76,14 @@ def test_means_are_over_the_runs_that_did_not_fail_and_a_flight_counts_once() ->
 
 
 def test_the_papers_means_are_pooled_over_offsets() -> None:
-    means = published_means(PUBLISHED, 10.0, "ssac", "t_d_error_ms")
+    means = errors.published_means(PUBLISHED, 10.0, "ssac", "t_d_error_ms")
     assert means.index.tolist() == ANGLES_DEG
     # 30 deg in the paper's table.
-    assert means["mean"].iloc[0] == pytest.approx((0.16 + 0.21 + 0.18) / 3)
     variance = (0.21**2 + 0.16**2 + 0.17**2) / 3
-    assert means["standard_error"].iloc[0] == pytest.approx(np.sqrt(variance / 10))
-    assert published_means(PUBLISHED, 10.0, "joint", "t_d_error_ms") is None
-    assert published_means(PUBLISHED, 5.0, "ssac", "t_d_error_ms") is None
+    expected = (0.16 + 0.21 + 0.18) / 3, np.sqrt(variance / 10)
+    assert tuple(means[["mean", "standard_error"]].iloc[0]) == pytest.approx(expected)
+    for duration_s, method in ((10.0, "joint"), (5.0, "ssac")):
+        assert errors.published_means(PUBLISHED, duration_s, method, "t_d_error_ms") is None
 
 
 def test_every_mean_of_ours_and_of_the_paper_is_drawn_where_there_is_one() -> None:
@@ -93,11 +91,10 @@ def test_every_mean_of_ours_and_of_the_paper_is_drawn_where_there_is_one() -> No
     runs = runs_of(10.0, 20.0)
     for axes, error, duration_s in panels_of(error_figure(runs, PUBLISHED)):
         is_offset = error == "t_d_error_ms"
-        of_duration = runs[runs["duration_s"] == duration_s]
+        of_methods = runs[runs["duration_s"] == duration_s].groupby("method")
         methods = ("ssac", "theirs", *(("ssac-known", "zncc_e") if is_offset else ()))
         expected = [
-            flight_means(of_duration[of_duration["method"] == method], error)["mean"].tolist()
-            for method in methods
+            flight_means(of_methods.get_group(one), error)["mean"].tolist() for one in methods
         ]
         known = ("ssac", "zncc_e") if is_offset else ("ssac",)
         expected += [papers(duration_s, method, error) for method in known]
@@ -111,9 +108,9 @@ def test_every_run_is_a_point_even_below_the_axis() -> None:
     runs = runs_of(20.0)
     runs.loc[runs["method"] == "ssac", "t_d_error_ms"] = 0.0
     axes = error_figure(runs, PUBLISHED).axes[0]
-    points = [line.get_ydata() for line in axes.lines if line.get_marker() == "."]
-    assert sum(map(len, points)) == len(runs)
-    assert np.min(np.concatenate(points)) >= axes.get_ylim()[0]
+    points = np.concatenate([one.get_ydata() for one in axes.lines if one.get_marker() == "."])
+    assert len(points) == len(runs)
+    assert points.min() >= axes.get_ylim()[0]
 
 
 def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() -> None:
@@ -126,8 +123,7 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     assert "zncc_e" in labels(figure)
     assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is in the legend alone
     assert style.SURVIVORS[0] in labels(figure)
-    hollow = [one for one in figure.axes[0].lines if one.get_markerfacecolor() == "white"]
-    assert len(hollow) == 1  # both runs are of one angle
+    assert len(hollow(figure.axes[0])) == 1  # both runs are of one angle
     assert [text.get_text() for text in figure.axes[0].texts] == ["10"]
     runs = runs_of(20.0).assign(duration_s=5.0)
     assert len(drawn_means(error_figure(runs, PUBLISHED).axes[0])) == 4
@@ -140,25 +136,25 @@ def test_the_area_under_a_success_curve_counts_the_refused() -> None:
     runs.loc[own, "t_d_error_ms"] = 0.25
     runs.loc[runs["method"] == "zncc_e", "t_d_error_ms"] = 1.0  # not below the threshold
     runs.loc[runs.index[own][: own.sum() // 2], "status"] = "search_bound"
-    axes = success_figure(runs).axes[0]
+    axes = errors.success_figure(runs).axes[0]
     curves = dict(zip(axes.get_legend_handles_labels()[1], axes.lines, strict=True))
     x, shares = curves["ssac 37.5"].get_data()  # half of the runs, over 3/4 of the axis
     assert np.all(x[1:-1] == 0.25)
     assert (shares[0], shares[-1]) == (0.0, 50.0)
     assert set(curves["zncc_e 0.0"].get_ydata()) == {0.0}
-    assert len(success_figure(runs).axes[2].lines) == 2  # the methods that give a pose
+    assert len(errors.success_figure(runs).axes[2].lines) == 2  # the methods that give a pose
 
 
 def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
-    runs = made_up_runs((*REFINED, "zncc_e"), 3)
+    runs = made_up_runs((*errors.REFINED, "zncc_e"), 3)
     for axes, error, duration_s in panels_of(beyond_figure(runs, PUBLISHED)):
         paper, *ours = drawn_means(axes)
         np.testing.assert_allclose(paper[:, 1], papers(duration_s, "ssac", error))
-        for method, drawn in zip(REFINED, ours, strict=True):
+        for method, drawn in zip(errors.REFINED, ours, strict=True):
             own = runs[(runs["method"] == method) & (runs["duration_s"] == duration_s)]
             np.testing.assert_allclose(drawn[:, 1], flight_means(own, error)["mean"])
-        levels = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
-        assert [list(level) for level in levels] == [[ERRORS[error].mark] * 2]
+        (level,) = dashed(axes)
+        assert list(level.get_ydata()) == [ERRORS[error].mark] * 2
     without = beyond_figure(made_up_runs(("joint", "ssac"), 2), PUBLISHED)
     assert labels(without)[:3] == ["the paper's ssac", "ssac", "joint"]
     assert "tangency" not in labels(without)
@@ -175,17 +171,15 @@ def test_a_picture_says_nothing_of_the_program_and_keeps_its_colours() -> None:
         assert middle == pytest.approx((0xD5, 0x5E, 0x00), abs=4)
 
 
-def test_no_two_methods_look_alike_and_each_the_same_in_every_company() -> None:
-    looks = style.method_looks([*METHODS, "theirs", "others"])
+def test_no_two_methods_look_alike_each_the_same_in_every_company_and_no_colour_is_two_things():
+    """Only sibling methods share a colour; their markers differ."""
+    looks = style.method_looks([*METHODS, *"abcd"])
     assert len(set(looks.values())) == len(looks)
     assert style.method_looks(["ssac"])["ssac"] == looks["ssac"]
     assert looks["ssac-known"].color == looks["ssac"].color
     assert looks["ssac-known"].style["fillstyle"] != looks["ssac"].style["fillstyle"]
 
-
-def test_no_colour_stands_for_two_things() -> None:
-    """Only sibling methods share a colour; their markers differ."""
-    methods = {look.color for look in style.method_looks([*METHODS, *"abcd"]).values()}
+    methods = {look.color for look in looks.values()}
     named = {"sim.angle_deg": ANGLES_DEG, "sim.spline.duration_s": (10.0, 20.0), "other": range(5)}
     values = [to_hex(style.value_color(name, value, 0.25 * place)).upper()
               for name, of in named.items() for place, value in enumerate(of)]  # fmt: skip
@@ -205,8 +199,8 @@ def test_three_numbers_at_least_are_on_a_logarithmic_axis(reach: tuple[float, fl
 # --- Ablations ---
 
 
-def runs_of_ablation(name: str) -> tuple[GridConfig, pd.DataFrame]:
-    return named_config(name), Results(RESULTS).table(f"{name}_runs")
+def of_ablation(name: str) -> tuple[pd.DataFrame, GridConfig]:
+    return Results(RESULTS).table(f"ablation_{name}_runs"), named_config(f"ablation_{name}")
 
 
 def said(figure) -> tuple[str, list[str]]:
@@ -214,7 +208,7 @@ def said(figure) -> tuple[str, list[str]]:
 
 
 def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marked() -> None:
-    grid, runs = runs_of_ablation("ablation_focal")
+    runs, grid = of_ablation("focal")
     figure = ablation_figure(runs, grid)
     assert figure.axes[0].get_ylabel() == "ssac"  # in the registry's order
     for axes, (method, error) in zip(figure.axes, product(grid.methods, ERRORS), strict=True):
@@ -226,8 +220,7 @@ def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marke
             # A line is moved aside as a whole, by a factor of its own.
             assert np.ptp(line[:, 0] / expected.index) == pytest.approx(0.0, abs=1e-9)
         assert len({line[0, 0] for line in lines}) == 3
-        dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
-        assert [line.get_xdata()[0] for line in dashed] == [200.0]
+        assert [line.get_xdata()[0] for line in dashed(axes)] == [200.0]
     title, names = said(figure)
     assert title == "Errors of one flight: focal length"
     # There are no bars and no hollow markers, so the legend explains none.
@@ -238,42 +231,35 @@ def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marke
     assert [len(drawn_means(axes[k])) for k in (1, 4)] == [0, 3]
 
 
-def test_offsets_are_pooled_and_an_angle_has_its_colour_in_every_figure() -> None:
-    grid, runs = runs_of_ablation("ablation_davis346")
-    title, names = said(ablation_figure(runs, grid))
-    assert (title, names) == (
+def test_offsets_are_pooled_and_lines_are_of_what_varies_or_else_of_methods() -> None:
+    """An angle has its colour in every figure; of two more parameters one has the rows."""
+    noise, brightness, objects = (
+        ablation_figure(*of_ablation(name)) for name in ("davis346", "brightness", "object")
+    )
+    assert said(noise) == (
         "Mean errors of 2 flights: noise of a DAVIS346", ["10 s", "20 s", style.STANDARD_ERROR[0]],
     )  # fmt: skip
-    grid, runs = runs_of_ablation("ablation_brightness")
-    figure = ablation_figure(runs, grid)
-    assert said(figure)[1][0] == "90 deg"
-    assert figure.axes[0].lines[0].get_color() == style.value_color("sim.angle_deg", 90, 0.0)
-
-
-def test_of_two_more_parameters_one_has_the_rows_and_the_lines_are_of_methods() -> None:
-    grid, runs = runs_of_ablation("ablation_object")
-    figure = ablation_figure(runs, grid)
-    objects = ["quadrotor", "two-tone", "bird", "plane"]
-    assert [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()] == objects
-    assert said(figure)[1][:3] == [*grid.methods]
-    assert said(figure)[0].startswith("Mean errors of 3 flights at all angles")
+    assert labels(brightness)[0] == "90 deg"
+    assert brightness.axes[0].lines[0].get_color() == style.value_color("sim.angle_deg", 90, 0.0)
+    drones = ["quadrotor", "two-tone", "bird", "plane"]
+    assert [axes.get_ylabel() for axes in objects.axes if axes.get_ylabel()] == drones
+    assert labels(objects)[:3] == [*named_config("ablation_object").methods]
+    assert said(objects)[0].startswith("Mean errors of 3 flights at all angles")
 
 
 def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
-    grid, runs = runs_of_ablation("ablation_n_min")
+    runs, grid = of_ablation("n_min")
     runs["status"] = "ok"
     assert len(ablation_figure(runs, grid).axes) == 9
     own = (runs["ssac.n_min"] == 1600) & (runs["method"] == "ssac")
     lost = own & (runs["sim.angle_deg"] == 90) & (runs["flight"] < 3)
     runs.loc[lost, "status"] = "too_few_samples"
-    figure = ablation_figure(runs, grid)
-    axes = figure.axes
+    axes = (figure := ablation_figure(runs, grid)).axes
     assert len(axes) == 12
     assert axes[3].get_title() == "refused runs [%]"
     bars = [float(bar.get_segments()[-1][1, 1]) for bar in axes[3].collections]
     assert bars == pytest.approx([0.0, 30.0, 0.0])
-    hollow = [line for line in axes[0].lines if line.get_markerfacecolor() == "white"]
-    assert [float(line.get_xdata()[0]) for line in hollow] == [pytest.approx(1600.0)]
+    assert [line.get_xdata()[0] for line in hollow(axes[0])] == [pytest.approx(1600.0)]
     assert [text.get_text() for text in axes[0].texts] == ["7"]  # of 10
     assert style.SURVIVORS[0] in labels(figure)
     runs.loc[own, "status"] = "too_few_samples"
@@ -286,7 +272,7 @@ def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
 
 def test_means_are_within_a_logarithmic_axis_whatever_their_bars_reach() -> None:
     """The bar of two errors, one of which is 0, reaches down to 0."""
-    grid, runs = runs_of_ablation("ablation_speed")
+    runs, grid = of_ablation("speed")
     runs.loc[runs["flight"] == 0, "t_d_error_ms"] = 0.0
     axes = ablation_figure(runs, grid).axes[0]
     assert axes.get_yscale() == "log"

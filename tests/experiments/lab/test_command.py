@@ -3,7 +3,6 @@
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -51,18 +50,12 @@ def test_what_cannot_be_simulated_is_the_inputs_fault(tmp_path):
     finish([outcome("")], Cache(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("reasons", "whose"),
-    [
-        ([THEIRS], "other packages' methods"),
-        ([THEIRS, OURS], "this program"),
-        ([OURS, NOT_SIMULATED], "this program"),
-    ],
-)
-def test_whose_bug_it_is_is_said(tmp_path, capsys, reasons, whose):
+@pytest.mark.parametrize("reasons", [[THEIRS], [THEIRS, OURS], [OURS, NOT_SIMULATED]])
+def test_whose_bug_it_is_is_said(tmp_path, capsys, reasons):
     with pytest.raises(typer.Exit) as ended:
         finish([outcome("", *reasons)], Cache(tmp_path))
     assert ended.value.exit_code == BUG
+    whose = "this program" if OURS in reasons else "other packages' methods"
     assert f"error: a bug in {whose}: {len(reasons)} runs crashed" in capsys.readouterr().err
 
 
@@ -85,59 +78,57 @@ def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = 
     return [one for one in SQUARES.cells() if one.number <= last and (even or one.number % 2)]
 
 
-def files_of(parts, tmp_path: Path, monkeypatch, *words: str) -> Path:
-    """Run a command made of some studies; return the folder of its files."""
+@pytest.fixture
+def files_of(tmp_path, monkeypatch):
+    """A call that runs a command of some studies in a folder, and returns its files by name."""
     monkeypatch.setattr(schedule, "run_key", lambda recordings, inputs, code: f"square{inputs}")
     monkeypatch.setattr(study, "context_or_none", lambda: None)
-    app = typer.Typer()
-    app.command()(command_of(parts, "Squares."))
-    out = tmp_path / "out"
-    run(*words, "--out", out, "--cache", tmp_path / "cache", app=app)
-    return out
+
+    def files(words, *studies, out="out", **parts):
+        app = typer.Typer()
+        app.command()(command_of(parts or {"all": studies}, "Squares."))
+        folders = "--out", tmp_path / out, "--cache", tmp_path / "cache"
+        run(*words.split(), *folders, app=app)
+        return {path.name: path for path in (tmp_path / out).iterdir()}
+
+    return files
 
 
 OPTIONAL = replace(SQUARES, cells=up_to, command="ssac squares", numbers={}, checks=())
 
 
-def test_parameters_of_the_cells_are_options_and_stand_in_the_provenance(tmp_path, monkeypatch):
-    words = ("--last", "4", "--no-even", "--workers", "1")
-    out = files_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, *words)
-    assert list(pd.read_csv(out / "squares_runs.csv")["number"]) == [3]
-    content = json.loads((out / "squares_runs.provenance.json").read_text())
+def test_parameters_of_the_cells_are_options_and_stand_in_the_provenance(files_of):
+    files = files_of("--last 4 --no-even --workers 1", OPTIONAL)
+    assert list(pd.read_csv(files["squares_runs.csv"])["number"]) == [3]
+    content = json.loads(files["squares_runs.provenance.json"].read_text())
     assert content["command"] == "ssac squares --last 4 --no-even"
     assert content["config"]["options"] == {"last": 4, "even": False}
     with pytest.raises(SsacError, match="--last: expected 2 to 99, got 100"):
-        files_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, "--last", "100")
+        files_of("--last 100", OPTIONAL)
 
 
-def test_merged_shards_are_drawn_of_the_flights_of_their_options(tmp_path, monkeypatch):
+def test_merged_shards_are_drawn_of_the_flights_of_their_options(files_of, tmp_path):
     filmed = []
     made = Made("squares.md", lambda results: "", lambda **given: filmed.append(given) or ())
     optional = replace(OPTIONAL, makes=(made,))
-    parts = []
-    for index in (1, 2):
-        folder, words = tmp_path / f"{index}", ("--last", "4", "--shard", f"{index}/2")
-        out = files_of({"all": (optional,)}, folder, monkeypatch, *words, "--workers", "1")
-        parts.append(out / "squares_runs.csv")
+    parts = [
+        files_of(f"--last 4 --workers 1 --shard {part}", optional, out=part[0])["squares_runs.csv"]
+        for part in ("1/2", "2/2")
+    ]
     merge(parts, tmp_path / "squares_runs.csv", lambda config: optional, Cache(tmp_path))
     assert filmed == [{"last": 4}]
 
 
-def test_parts_of_a_command_are_its_studies(tmp_path, monkeypatch):
+def test_parts_of_a_command_are_its_studies(files_of):
     other = replace(SQUARES, name="others", runs=Runs("others.csv", ("number",)), makes=())
-    parts = {"first": (OPTIONAL,), "second": (other,)}
-    out = files_of(parts, tmp_path, monkeypatch, "second", "--workers", "1")
-    names = {path.name for path in out.iterdir()}
-    assert names == {"others.csv", "others.provenance.json", "SHA256SUMS"}
+    files = files_of("second --workers 1", first=(OPTIONAL,), second=(other,))
+    assert set(files) == {"others.csv", "others.provenance.json", "SHA256SUMS"}
 
 
-def test_cells_that_are_measured_alone_have_processes_of_their_own_and_are_not_kept(
-    tmp_path, monkeypatch
-):
+def test_cells_measured_alone_have_processes_of_their_own_and_are_not_kept(files_of, tmp_path):
     measure = Measure(load_nothing, process_row, SquareRow)
-    alone = replace(OPTIONAL, measure=measure, how=How.ALONE, makes=())
-    out = files_of({"all": (alone,)}, tmp_path, monkeypatch, "--last", "3")
-    runs = pd.read_csv(out / "squares_runs.csv")
+    files = files_of("--last 3", replace(OPTIONAL, measure=measure, how=How.ALONE, makes=()))
+    runs = pd.read_csv(files["squares_runs.csv"])
     assert list(runs["status"]) == ["ok", "unusable"]
     assert runs["square"].iloc[0] != os.getpid()
     assert runs["reason"].iloc[1] == "its process ended with code 3"

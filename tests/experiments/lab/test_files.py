@@ -10,19 +10,17 @@ from experiments.lab.results import SUMS_FILE, read_checksums, record_checksums,
 from ssac.errors import SsacError
 
 
-def written(folder, name, text):
-    path = folder / name
-    path.write_text(text)
-    return path
+def written(folder, name, text="1"):
+    (folder / name).write_text(text)
+    return folder / name
 
 
 def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path):
-    table = written(tmp_path, "a.csv", "1")
+    table = written(tmp_path, "a.csv")
     written(tmp_path, "a.provenance.json", "{}")
     record_checksums(tmp_path, [table])
     assert list(read_checksums(tmp_path)) == ["a.csv", "a.provenance.json"]
-    command = ["sha256sum", "--check", SUMS_FILE]
-    assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode == 0
+    subprocess.run(["sha256sum", "--check", SUMS_FILE], cwd=tmp_path, check=True)
     before = read_checksums(tmp_path)["a.csv"]
     written(tmp_path, "a.csv", "2")  # by hand
     record_checksums(tmp_path, [written(tmp_path, "b.png", "3")])
@@ -33,7 +31,7 @@ def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path):
 
 
 def test_commands_that_write_at_once_lose_no_note(tmp_path):
-    paths = [written(tmp_path, f"{number}.csv", str(number)) for number in range(40)]
+    paths = [written(tmp_path, f"{number}.csv") for number in range(40)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda path: record_checksums(tmp_path, [path]), paths))
     assert set(read_checksums(tmp_path)) == {path.name for path in paths}
@@ -48,27 +46,21 @@ def test_a_line_that_is_none_is_an_error(tmp_path, line):
         read_checksums(tmp_path / "none")
 
 
-def test_changed_code_makes_the_commit_dirty_and_results_that_are_being_made_do_not(
-    tmp_path, monkeypatch
-):
+def test_changed_code_makes_the_commit_dirty_and_results_do_not(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.code_commit() == "unknown"
 
-    def git(*arguments):
-        identity = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
-        subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True)
-
     (tmp_path / "results").mkdir()
     for name in ("code.py", "results/table.csv"):
-        (tmp_path / name).write_text("1\n")
-    git("init", "-q")
-    git("add", ".")
-    git("commit", "-q", "-m", "x")
+        written(tmp_path, name)
+    git = "git -c user.name=a -c user.email=a@b -c commit.gpgsign=false"
+    for words in ("init -q", "add .", "commit -q -m x"):
+        subprocess.run(f"{git} {words}".split(), cwd=tmp_path, check=True)
     commit = provenance.code_commit()
     assert len(commit) == 12
-    (tmp_path / "results" / "table.csv").write_text("2\n")
-    (tmp_path / "untracked.txt").write_text("3\n")
+    for name in ("results/table.csv", "untracked.txt"):
+        written(tmp_path, name, "2")
     assert provenance.code_commit() == commit
-    (tmp_path / "code.py").write_text("2\n")
+    written(tmp_path, "code.py", "2")
     assert provenance.code_commit() == f"{commit}-dirty"

@@ -50,6 +50,11 @@ def work_off(pool, jobs):
     return found
 
 
+def result_of(job):
+    with Processes(1) as pool:
+        return work_off(pool, [job])[0].result()
+
+
 @pytest.mark.parametrize(
     "pool", [Pool, partial(Processes, 1), partial(Processes, 2)], ids=["here", "1", "2"]
 )
@@ -85,16 +90,12 @@ def test_a_job_that_dies_or_cannot_be_sent_takes_no_other_with_it(job, error, sa
 
 
 def test_workers_serve_one_pool_after_the_other_and_one_that_died_idle_costs_nothing():
-    pids = []
-    for _ in range(2):
-        with Processes(1) as pool:
-            pids.append(work_off(pool, [os.getpid])[0].result())
-    assert pids[0] == pids[1] != os.getpid()
-    worker = next(one for one in module._IDLE if one.process.pid == pids[0])
-    os.kill(pids[0], signal.SIGKILL)
+    pid, again = result_of(os.getpid), result_of(os.getpid)
+    assert pid == again != os.getpid()
+    worker = next(one for one in module._IDLE if one.process.pid == pid)
+    os.kill(pid, signal.SIGKILL)
     worker.process.join()
-    with Processes(1) as pool:
-        assert work_off(pool, [square(3)])[0].result() == 9
+    assert result_of(square(3)) == 9
 
 
 def test_a_pool_that_is_left_ends_what_it_was_on():
@@ -104,10 +105,5 @@ def test_a_pool_that_is_left_ends_what_it_was_on():
     assert worker.process.exitcode == -signal.SIGTERM
 
 
-def with_a_worker():
-    with Processes(1) as pool:
-        return work_off(pool, [square(3)])[0].result()
-
-
 def test_a_process_of_its_own_may_start_more():
-    assert in_new_process(with_a_worker) == 9  # as the one that makes the tables does
+    assert in_new_process(partial(result_of, square(3))) == 9  # as the one that makes the tables

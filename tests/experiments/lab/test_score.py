@@ -27,13 +27,11 @@ def test_angle_between_vectors_minds_the_sign_and_not_the_length():
 def test_errors_have_their_units_and_directions_and_what_is_not_given_is_nan():
     R, t = turn(90.0), np.array([1.0, 0.0, 0.0])
     estimate = Estimate("m", t_d_s=0.0498, R=R @ turn(0.5), t=-t)
-    errors = score(estimate, 0.05, R, t)
-    assert errors.t_d_error_ms == pytest.approx(0.2)
-    assert errors.r_error_deg == pytest.approx(0.5)
-    assert errors.t_error_deg == pytest.approx(180.0)
-    without = score(Estimate("m", t_d_s=0.06), 0.05, R, t)
-    assert without.t_d_error_ms == pytest.approx(10.0)
-    assert np.isnan([without.r_error_deg, without.t_error_deg]).all()
+    without = Estimate("m", t_d_s=0.06)
+    for one, errors in ((estimate, (0.2, 0.5, 180.0)), (without, (10.0, np.nan, np.nan))):
+        found = score(one, 0.05, R, t)
+        of = found.t_d_error_ms, found.r_error_deg, found.t_error_deg
+        assert of == pytest.approx(errors, nan_ok=True)
 
 
 def test_a_pose_is_scored_against_its_covariance():
@@ -47,10 +45,10 @@ def test_a_pose_is_scored_against_its_covariance():
     found = [pose[f"{name}_normalised"] for name in ("r_x", "r_y", "r_z", "t_1", "t_2")]
     # t moves along its tangent and is then normalised: an error of the third power of 0.005.
     assert found == pytest.approx(list(expected), abs=1e-3)
-    assert pose["r_mahalanobis"] == pytest.approx(np.linalg.norm(expected[:3]), abs=1e-3)
-    assert pose["t_mahalanobis"] == pytest.approx(np.linalg.norm(expected[3:]), abs=1e-3)
-    assert pose["r_std_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[1:4])))
-    assert pose["t_std_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[4:])))
+    for name, of in (("r", slice(3)), ("t", slice(3, None))):
+        assert pose[f"{name}_mahalanobis"] == pytest.approx(np.linalg.norm(expected[of]), abs=1e-3)
+        std_deg = np.rad2deg(np.linalg.norm(sigmas[1:][of]))
+        assert pose[f"{name}_std_deg"] == pytest.approx(std_deg)
     assert np.linalg.norm(pose_step(R, t, R, -t)[3:]) == pytest.approx(np.pi)  # opposite directions
     without = pose_score(Estimate("m", t_d_s=0.05, R=R, t=t), R_true, t_true)
     assert np.isnan(list(without.values())).all()

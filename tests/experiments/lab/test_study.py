@@ -112,62 +112,49 @@ def test_shards_are_a_partition_that_splits_no_recording(n_shards):
     assert sum(len({cell.number for _, cell in shard}) for shard in shards) == 4
 
 
-def test_merged_shards_are_the_same_bytes(tmp_path):
-    whole = tmp_path / "whole"
-    study("squares", "--out", whole, "--cache", tmp_path / "cache")
-    parts = []
-    for index in (1, 2, 3):
+def test_merged_shards_are_the_same_bytes_even_where_one_has_no_rows(tmp_path):
+    study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
+    parts, out = [], tmp_path / "merged" / "squares_runs.csv"
+    for index in range(1, 6):  # of four recordings
         folder = tmp_path / f"part{index}"
-        study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
+        study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/5")
         assert not (folder / "squares.csv").exists()
         parts.append(folder / "squares_runs.csv")
-
-    out = tmp_path / "merged" / "squares_runs.csv"
+    assert parts[4].read_text() == "cell,number,pair,power,status,reason,square\n"
     command("merge", out, *reversed(parts))
     for name in ("squares_runs.csv", "squares.csv", "squares.png"):
-        assert (out.parent / name).read_bytes() == (whole / name).read_bytes(), name
+        assert (out.parent / name).read_bytes() == (tmp_path / name).read_bytes(), name
     merged = json.loads((out.parent / "squares.provenance.json").read_text())
-    assert [one["config"]["shard"] for one in merged["shards"]] == ["3/3", "2/3", "1/3"]
+    shards = [one["config"]["shard"] for one in merged["shards"]]
+    assert shards == ["5/5", "4/5", "3/5", "2/5", "1/5"]
 
     def refused(said, *shards, out=tmp_path / "x" / "squares_runs.csv"):
         with pytest.raises(SsacError, match=said):
             command("merge", out, *shards)
         assert not out.exists()
 
-    refused("2 of 8 cells are in none of the shards", *parts[:2])
+    refused("2 of 8 cells are in none of the shards", *parts[:3])
     refused("cell 0 is in", parts[0], parts[0])
     refused(r"are named squares_runs\.csv", *parts, out=tmp_path / "x.csv")
-    content = json.loads(parts[1].with_suffix(".provenance.json").read_text())
-    text, config = parts[1].read_text(), content["config"]
+    beside = parts[1].with_suffix(".provenance.json")
+    text, content = parts[1].read_text(), json.loads(beside.read_text())
     for new, change, said in (
-        (text, {"config": config | {"powers": [3]}}, "is of another grid"),
+        (text, {"config": content["config"] | {"powers": [3]}}, "is of another grid"),
         (text, {"commit": "0123456789ab"}, "is of the code 0123456789ab, and"),
         (text.replace("square", "worth", 1), {}, "has other columns"),
         ("", {}, "is empty: run this shard again"),
         (f"{text}-1,x\n", {}, "a row begins with '-1', no cell's number"),
     ):
         parts[1].write_text(new)
-        changed = content | change
-        parts[1].with_suffix(".provenance.json").write_text(json.dumps(changed))
+        beside.write_text(json.dumps(content | change))
         refused(said, *parts)
-    parts[1].with_suffix(".provenance.json").unlink()
+    beside.unlink()
     refused(r"expected squares_runs\.provenance\.json beside it", *parts)
 
 
-def test_more_shards_than_recordings_are_tables_of_no_rows(tmp_path):
-    shards = []
-    for index in range(1, 6):
-        folders = "--out", tmp_path / f"{index}", "--cache", tmp_path / "cache"
-        study("squares", *folders, "--shard", f"{index}/5")
-        shards.append(tmp_path / f"{index}" / "squares_runs.csv")
-    assert shards[4].read_text() == "cell,number,pair,power,status,reason,square\n"
-    command("merge", tmp_path / "squares_runs.csv", *shards)
-    assert len(read_table((tmp_path / "squares_runs.csv").read_text())) == 8
+def test_gaps_in_the_runs_are_found(tmp_path):
     with pytest.raises(SsacError, match="squares: there are no runs with these options"):
         run_study(replace(STUDY, cells=list), Cache(tmp_path), Workers(1))
-
-
-def test_gaps_in_the_runs_are_found(tmp_path):
     runs = read_table(csv_text(run(tmp_path).runs))
     check_runs(STUDY, runs, CELLS)
     for damaged, said in (
@@ -192,14 +179,14 @@ def test_what_is_done_is_not_done_again_and_a_stopped_study_goes_on(tmp_path, ca
     assert f"stopped: 2 of 4 recordings are done and kept in {tmp_path}" in capsys.readouterr().err
     assert LOADED == [0, 1, 2]
     FAULTS.clear()
-    LOADED.clear()
-    first = run(tmp_path)
-    assert LOADED == [2, 3]  # each once, for both powers
-    assert list(first.runs["square"]) == VALUES
-    assert list(first.runs["status"]) == ["ok"] * 8
-    LOADED.clear()
-    pd.testing.assert_frame_equal(first.runs, run(tmp_path).runs)
-    assert LOADED == []
+    tables = []
+    for loaded in ([2, 3], []):  # each once, for both powers
+        LOADED.clear()
+        tables.append(run(tmp_path).runs)
+        assert loaded == LOADED
+    assert list(tables[0]["square"]) == VALUES
+    assert list(tables[0]["status"]) == ["ok"] * 8
+    pd.testing.assert_frame_equal(*tables)
 
 
 def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path):
@@ -207,17 +194,14 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path):
     FAULTS["number 1"] = SsacError("unreadable")
     runs = run(tmp_path).runs.set_index(["number", "power"])
     assert len(runs) == 8
-    assert runs.loc[(0, 2), "status"] == CRASHED
-    assert runs.loc[(0, 2), "reason"] == "2: RuntimeError: a bug"
+    assert list(runs.loc[(0, 2), ["status", "reason"]]) == [CRASHED, "2: RuntimeError: a bug"]
     assert runs.loc[(0, 1), "status"] == "ok"
     assert list(runs.loc[1, "status"]) == ["unusable"] * 2
     FAULTS.clear()
-    LOADED.clear()
     for loaded in ([0, 1, 2, 3], []):
-        again = run(tmp_path).runs.set_index(["number", "power"])["status"]
-        assert loaded == LOADED
-        assert set(again) == {"ok"}
         LOADED.clear()
+        assert set(run(tmp_path).runs["status"]) == {"ok"}
+        assert loaded == LOADED
 
 
 def test_what_a_method_refuses_is_kept_and_a_full_disk_stops_the_study(tmp_path):
@@ -226,9 +210,8 @@ def test_what_a_method_refuses_is_kept_and_a_full_disk_stops_the_study(tmp_path)
     with pytest.raises(WriteError):
         run(tmp_path)
     FAULTS.clear()
-    statuses = run(tmp_path).runs.set_index(["number", "power"])["status"]
-    assert statuses[0, 1] == "unusable"
-    assert set(statuses.drop((0, 1))) == {"ok"}
+    # The first cell is that of number 0 and power 1.
+    assert list(run(tmp_path).runs["status"]) == ["unusable", *["ok"] * 7]
 
 
 # --- Other runs on the same recordings, and workers that die ---
@@ -279,19 +262,17 @@ class Mortal(Pool):
         return future
 
 
-def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_task_that_kills_its_workers_is_a_crash_and_others_go_on(tmp_path, monkeypatch, capsys):
     pool = Mortal({2: 100})
     with monkeypatch.context() as with_deaths:
         with_deaths.setattr(schedule, "_pool", lambda *_: pool)
         outcome = run(tmp_path)
     assert pool.given.count(2) == MAX_DEATHS == outcome.n_deaths
-    crashed = outcome.runs["number"] == 2
-    expected = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
-    assert set(outcome.runs[crashed]["status"]) == {CRASHED}
-    assert set(outcome.runs[crashed]["reason"]) == {expected}
-    assert set(outcome.runs[~crashed]["status"]) == {"ok"}
+    reason = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
+    ended = {
+        (*row,) for row in outcome.runs[["number", "status", "reason"]].itertuples(index=False)
+    }
+    assert ended == {(2, CRASHED, reason), *((number, "ok", "") for number in (0, 1, 3))}
     assert "given up" in capsys.readouterr().err
     # A crash is not cached: the next run repeats that task, and nothing else.
     LOADED.clear()
