@@ -27,14 +27,10 @@ METHODS = tuple(method.name for method in OURS)
 FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
            "success", "efficiency")  # fmt: skip
 PROVENANCE = {
-    "command": "ssac tables",
-    "commit": "0123456789ab",
-    "versions": {"numpy": "2.2.6"},
+    "command": "ssac tables", "config": {"title": "made up"}, "wall_time_s": 12.5,
+    "commit": "0123456789ab", "versions": {"numpy": "2.2.6"}, "recordings_simulated": 3,
     "gl": {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"},
-    "config": {"title": "made up"},
-    "wall_time_s": 12.5,
-    "recordings_simulated": 3,
-}
+}  # fmt: skip
 
 
 def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.DataFrame:
@@ -65,11 +61,10 @@ def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.Da
 
 def write_results(folder: Path, runs: pd.DataFrame) -> None:
     tables = esim_tables(runs)
-    (folder / "runs.csv").write_text(csv_text(runs))
-    for duration_s, table in tables.items():
-        (folder / f"esim_{duration_s:g}.csv").write_text(csv_text(table))
-    comparison = comparison_table(tables, load_published())
-    (folder / "comparison.csv").write_text(csv_text(comparison))
+    written = {f"esim_{duration_s:g}": table for duration_s, table in tables.items()}
+    written |= {"runs": runs, "comparison": comparison_table(tables, load_published())}
+    for name, table in written.items():
+        (folder / f"{name}.csv").write_text(csv_text(table))
     for name in (*FIGURES, *config_names("ablation_")):
         cv2.imwrite(str(folder / f"{name}.png"), np.full((30, 60, 3), 200, np.uint8))
     (folder / "esim_20.provenance.json").write_text(json.dumps(PROVENANCE))
@@ -90,19 +85,15 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
 def write_truth(path: Path, scene: Scene, n_times: int = 2001) -> None:
     """Write the truth without an offset, in camera 1's frame, and without the drone's images."""
     times_s = np.linspace(0.0, scene.duration_s, n_times)
+    unseen, poses = [[None, None]] * n_times, {"cam1": np.eye(4), "cam2": scene.rig.T_2_1}
     truth = {
-        "R": scene.R.tolist(),
-        "t": (scene.t / np.linalg.norm(scene.t)).tolist(),
-        "cameras": {
-            name: {"T_C_W": pose.tolist(), "drone_px": [[None, None]] * len(times_s)}
-            for name, pose in (("cam1", np.eye(4)), ("cam2", scene.rig.T_2_1))
-        },
-        "times_s": times_s.tolist(),
-        "drone_position_W_m": scene.path(times_s).tolist(),
-        "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * len(times_s),
+        "R": scene.R, "t": scene.t / np.linalg.norm(scene.t), "times_s": times_s,
+        "cameras": {name: {"T_C_W": pose, "drone_px": unseen} for name, pose in poses.items()},
+        "drone_position_W_m": scene.path(times_s),
+        "drone_quaternion_W_B_xyzw": [[0.0, 0.0, 0.0, 1.0]] * n_times,
         **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
-    }
-    path.write_text(json.dumps(truth))
+    }  # fmt: skip
+    path.write_text(json.dumps(truth, default=np.ndarray.tolist))
 
 
 DURATION_S = 6.0
@@ -112,18 +103,13 @@ T = SCENE.t / np.linalg.norm(SCENE.t)
 
 def joint_estimate(error_s: float = 0.0, **values: object) -> Estimate:
     """Return a made-up estimate of `joint` for `SCENE`, where the true offset is 50 ms."""
-    fields = {
-        "t_d_s": 0.05 + error_s, "t_d_std_s": 1e-3, "R": SCENE.R, "t": T,
-        "covariance": np.diag([1e-6] + 5 * [1e-4]),
-    } | values  # fmt: skip
-    return Estimate("joint", **fields)
+    fields = {"t_d_std_s": 1e-3, "R": SCENE.R, "t": T, "covariance": np.diag([1e-6] + 5 * [1e-4])}
+    return Estimate("joint", t_d_s=0.05 + error_s, **fields | values)
 
 
 @cache
 def flown(seed: int = 0) -> Pair:
     """Return a synthetic pair with a time offset of 0, and only the events during the flight."""
-    first, second = (
-        Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
-        for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
-    )
-    return Pair(first, second, SCENE.rig)
+    both = make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
+    within = (one[(one["t"] >= 0) & (one["t"] < 1e6 * DURATION_S)] for one in both)
+    return Pair(*map(Observation, within), SCENE.rig)

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from experiments.drawing.events import (
-    GAP,
-    STRETCH_S,
-    alignment_animation,
-    d_avg_figure,
-    epipolar_figure,
-    load_recording,
-    preprocessing_figure,
-)
+from experiments.drawing import events as drawing
+from experiments.drawing.events import STRETCH_S, load_recording, preprocessing_figure
 from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
@@ -36,7 +29,8 @@ def with_events(chain, events):
 
 def test_fig_5_shows_d_avg_which_is_least_at_the_true_offset(aligned) -> None:
     """The axes show 1 s and 3 ms each way. Up to 2 ms, as the mean of events is no fixed point."""
-    for axes, reach, near in zip(d_avg_figure(aligned).axes, (1.0, 3.0), (5e-3, 2.0), strict=True):
+    shown = zip(drawing.d_avg_figure(aligned).axes, (1.0, 3.0), (5e-3, 2.0), strict=True)
+    for axes, reach, near in shown:
         assert axes.get_xlim() == (-reach, reach)
         curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
         least = [line for line in axes.lines if line.get_marker() == "o"]
@@ -52,7 +46,7 @@ def test_fig_5_shows_d_avg_which_is_least_at_the_true_offset(aligned) -> None:
 
 
 def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
-    figure = epipolar_figure(load_recording(recorded.folder))
+    figure = drawing.epipolar_figure(load_recording(recorded.folder))
     before, after = (
         float(axes.get_title().split("= ")[1].removesuffix(" px")) for axes in figure.axes[::2]
     )
@@ -60,13 +54,14 @@ def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
 
 
 def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch) -> None:
-    monkeypatch.setattr("experiments.drawing.events.PICTURES", (1, 2, 1))  # all take 10 s
-    moving = Image.open(io.BytesIO(alignment_animation(load_recording(recorded.folder, 0.3))))
+    monkeypatch.setattr(drawing, "PICTURES", (1, 2, 1))  # all take 10 s
+    picture = drawing.alignment_animation(load_recording(recorded.folder, 0.3))
+    moving, gap = Image.open(io.BytesIO(picture)), ImageColor.getrgb(drawing.GAP)
     gaps = []
     for number in range(moving.n_frames):
         moving.seek(number)
         views = np.asarray(moving.convert("RGB"), dtype=float)[: moving.height // 2]
-        gaps.append(np.count_nonzero(np.abs(views - ImageColor.getrgb(GAP)).max(axis=-1) < 40))
+        gaps.append(np.count_nonzero(np.abs(views - gap).max(axis=-1) < 40))
     shown, before, *_, after = gaps  # the first picture is shown where nothing moves
     assert shown == after < 0.2 * before
     assert len(gaps) == 1 + 4
@@ -77,11 +72,9 @@ def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
     added = noise(WIDTH, HEIGHT, rate_hz / (WIDTH * HEIGHT), 8_000_000)
     with_noise = with_events(aligned, merged(aligned.recorded(0).events, added))
     clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise)
-    titles = [
-        [axes.get_title().split("\n")[1] for axes in figure.axes] for figure in (clean, noisy)
-    ]
-    (raw, kept), (raw_noisy, kept_noisy) = (
-        [int(text.split(",")[0].replace(" ", "")) for text in row[:2]] for row in titles
+    raw, kept, raw_noisy, kept_noisy = (
+        int(axes.get_title().split("\n")[1].split(",")[0].replace(" ", ""))
+        for axes in (*clean.axes[:2], *noisy.axes[:2])
     )
     expected = rate_hz * (STRETCH_S[1] - STRETCH_S[0])
     # The tolerance is five standard deviations of a Poisson distribution.
@@ -107,4 +100,4 @@ def test_fig_4_of_a_flight_without_an_estimate_says_why(aligned) -> None:
     # Ten events are fewer than any window needs, however thin the object.
     few = [Observation(aligned.recorded(k).events[:10]) for k in range(2)]
     with pytest.raises(SsacError, match=r"no epipolar lines: (too_few_samples|no_common_time)"):
-        epipolar_figure(Chain(few, aligned.rig))
+        drawing.epipolar_figure(Chain(few, aligned.rig))

@@ -11,14 +11,7 @@ import pytest
 
 from experiments.lab import cache as module
 from experiments.lab import grid
-from experiments.lab.cache import (
-    ASIDE,
-    Cache,
-    content,
-    recording_bytes,
-    recording_key,
-    run_key,
-)
+from experiments.lab.cache import ASIDE, Cache, recording_key, run_key
 from experiments.lab.code import ROOT
 from experiments.lab.grid import Cell
 from sim.errors import SimError
@@ -30,6 +23,7 @@ from ssac.config import Config
 from ssac.errors import SsacError, WriteError
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import METHODS
+from tests.experiments.lab.squares import flipped
 from tests.recorded import empty_events
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
@@ -43,24 +37,27 @@ def files_in(folder):
 
 
 def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does_not():
-    base = recording_key(SimConfig(), 0)
-    others = [
-        recording_key(SimConfig(), 1),
-        recording_key(replace(SimConfig(), angle_deg=91.0), 0),
-        recording_key(replace(SimConfig(), sensor=replace(SimConfig().sensor, leak_hz=0.1)), 0),
-    ]
-    assert len({base, *others}) == 4
-    assert recording_key(replace(SimConfig(), t_d_s=0.5), 0) == recording_key(SimConfig(), 0)
+    leaky = replace(SimConfig().sensor, leak_hz=0.1)
+    configs = SimConfig(), SimConfig(angle_deg=91.0), SimConfig(sensor=leaky)
+    keys = [*(recording_key(one, 0) for one in configs), recording_key(SimConfig(), 1)]
+    assert len(set(keys)) == 4
+    assert recording_key(SimConfig(t_d_s=0.5), 0) == keys[0]
 
 
-def test_a_file_counts_by_what_is_in_it(tmp_path):
-    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
-    one.write_text("a")
-    two.write_text("a")
-    assert content(SimConfig(drone_file=one)) == content(SimConfig(drone_file=two))
-    two.write_text("b")
-    assert content(SimConfig(drone_file=one)) != content(SimConfig(drone_file=two))
-    assert content(tmp_path) == str(tmp_path)  # a folder: who reads it says what is wrong
+def test_a_file_counts_by_what_is_in_it_and_in_those_that_it_names(tmp_path):
+    contents = []
+    for number, text in enumerate("aab"):
+        file = tmp_path / f"{number}.ply"
+        file.write_text(text)
+        contents.append(module.content(SimConfig(drone_file=file)))
+    assert contents[0] == contents[1] != contents[2]
+    assert module.content(tmp_path) == str(tmp_path)  # a folder: its reader says what is wrong
+    file, keys = tmp_path / "one.obj", set()
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nmtllib one.mtl\nusemtl a\nf 1 2 3\n")
+    for red in (1, 0.5):
+        file.with_suffix(".mtl").write_text(f"newmtl a\nKd {red} 0 0\n")
+        keys.add(recording_key(SimConfig(drone_file=file), 0))
+    assert len(keys) == 2
 
 
 def test_the_size_of_a_cache_leaves_out_what_another_run_moves(tmp_path, monkeypatch):
@@ -72,37 +69,27 @@ def test_the_size_of_a_cache_leaves_out_what_another_run_moves(tmp_path, monkeyp
 def test_a_recording_is_as_large_as_its_flight_is_long(tmp_path):
     path = tmp_path / "flight.csv"
     path.write_text("".join(f"{t},0,0,1,0,0,0,1\n" for t in range(91)))
-    by_file = recording_bytes(SimConfig(trajectory_file=path))
-    assert by_file == recording_bytes(SimConfig(spline=SplineConfig(duration_s=90.0)))
-
-
-def test_a_mesh_counts_by_what_the_files_hold_that_it_names(tmp_path):
-    config, colour = SimConfig(drone_file=tmp_path / "one.obj"), tmp_path / "one.mtl"
-    config.drone_file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nmtllib one.mtl\nusemtl a\nf 1 2 3\n")
-    keys = set()
-    for red in (1, 0.5):
-        colour.write_text(f"newmtl a\nKd {red} 0 0\n")
-        keys.add(recording_key(config, 0))
-    assert len(keys) == 2
+    by_file = module.recording_bytes(SimConfig(trajectory_file=path))
+    assert by_file == module.recording_bytes(SimConfig(spline=SplineConfig(duration_s=90.0)))
 
 
 def test_every_part_makes_another_run_and_so_does_another_version_of_a_method(monkeypatch):
-    base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.lab.scored",))
-    others = [
-        (("other",), *base[1:]),
-        (("recording", "other"), *base[1:]),
-        (*base[:2], ("experiments.studies.refusal",)),
+    recordings, inputs = ("recording",), (0.05, Config(), "ssac", "")
+    code = ("experiments.lab.scored",)
+    keys = [
+        run_key(recordings, inputs, code),
+        run_key(("other",), inputs, code),
+        run_key(("recording", "other"), inputs, code),
+        run_key(recordings, inputs, ("experiments.studies.refusal",)),
     ]
-    inputs = (0.06, Config(n_min=100), "joint", "1.0")
-    for at, value in enumerate(inputs):
-        changed = (*base[1][:at], value, *base[1][at + 1 :])
-        others.append((base[0], changed, base[2]))
-    assert len({run_key(*parts) for parts in (base, *others)}) == 1 + len(others)
+    for at, value in enumerate((0.06, Config(n_min=100), "joint", "1.0")):
+        keys.append(run_key(recordings, (*inputs[:at], value, *inputs[at + 1 :]), code))
+    assert len(set(keys)) == len(keys)
     cell = Cell(SimConfig(), 0, 0, 0.05, Config(), "ssac", {})
-    before = cell.inputs
+    before = run_key(recordings, cell.inputs, ())
     method = replace(METHODS["ssac"], version="of yesterday")
     monkeypatch.setattr(grid, "METHODS", {"ssac": method})
-    assert run_key(("recording",), cell.inputs, ()) != run_key(("recording",), before, ())
+    assert run_key(recordings, cell.inputs, ()) != before
 
 
 @pytest.mark.parametrize("packages", ["SIM_PACKAGES", "SSAC_PACKAGES"])
@@ -122,15 +109,13 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
     assert {name for name, key in keys().items() if key != before[name]} == {packages}
 
 
-@pytest.mark.parametrize(
-    ("folder", "listed"), [("sim", module.SIM_PACKAGES), ("ssac", module.SSAC_PACKAGES)]
-)
-def test_every_package_that_computes_is_part_of_a_key(folder, listed):
+@pytest.mark.parametrize("folder", ["sim", "ssac"])
+def test_every_package_that_computes_is_part_of_a_key(folder):
     said = r"^\s*(?:import|from) (numpy|scipy|numba|cv2|pyrender|OpenGL|trimesh|manifold3d)\b"
     texts = (path.read_text(encoding="utf-8") for path in (ROOT / folder).rglob("*.py"))
     used = {name for text in texts for name in re.findall(said, text, re.MULTILINE)}
     of = {"cv2": "opencv-python-headless", "OpenGL": "PyOpenGL"}
-    assert {of.get(name, name) for name in used} <= set(listed)
+    assert {of.get(name, name) for name in used} <= {*getattr(module, f"{folder.upper()}_PACKAGES")}
     assert "cv2" in used
 
 
@@ -143,9 +128,7 @@ def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_
         assert files_in(tmp_path) == []
 
 
-def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_whole(
-    tmp_path, monkeypatch
-):
+def test_a_run_comes_back_as_it_went_in_and_only_if_it_was_written_whole(tmp_path, monkeypatch):
     cache, write = Cache(tmp_path), Path.write_text
 
     def half(path, text, **options):
@@ -162,10 +145,6 @@ def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_w
     assert cache.load_run("abcd") == ROW
     assert files_in(tmp_path) == ["abcd.json"]
     assert cache.size_bytes() == len(module.text_of_row(ROW))
-
-
-def flipped(data, at):
-    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
 
 
 def test_no_flipped_bit_of_a_row_goes_unseen():
@@ -189,16 +168,12 @@ def test_a_damaged_row_is_moved_aside_and_said_once(tmp_path, capsys):
     assert cache.load_run("abcd") == ROW
 
 
-def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew_if_damaged(
-    tmp_path,
-):
-    cache, recording, told = Cache(tmp_path), tmp_path / "recordings" / "abc", []
+def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew_if_bad(tmp_path):
+    of = "brightness", tmp_path / "recordings" / "abc", module.BRIGHTNESS_CODE, [*MEANS]
+    told = []
 
     def check(inputs):
-        made = cache.told(
-            "brightness", recording, module.BRIGHTNESS_CODE, [*MEANS],
-            lambda: told.append(inputs) or MEANS, inputs,
-        )  # fmt: skip
+        made = Cache(tmp_path).told(*of, lambda: told.append(inputs) or MEANS, inputs)
         for name, one in MEANS.items():
             np.testing.assert_array_equal(made[name], one, strict=True)
 

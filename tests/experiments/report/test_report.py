@@ -4,6 +4,7 @@ import html
 import json
 import re
 import shutil
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
@@ -36,16 +37,13 @@ def page(folder, animation):
     return report.report_page(report.read_results(folder), animation)
 
 
-def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder, tmp_path):
+def test_its_tables_are_those_of_the_readme_and_verdicts_are_marked(page, folder):
     """The content of the tables is tested in `tests/experiments/paper/test_page.py`."""
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    shutil.copyfile(folder / "esim_20.provenance.json", tmp_path / "runs.provenance.json")
-    results = Results(tmp_path)
+    one = (folder / "esim_20.provenance.json").read_text()
+    merged = f'{{"command": "{MERGED}", "config": {{}}, "shards": [{one}, {one}]}}'
+    results, of_shards = (Results(folder, {"runs.provenance.json": of}) for of in (one, merged))
     of_whole = tables.page(results)
-    one = json.loads((tmp_path / "runs.provenance.json").read_text())
-    merged = json.dumps({"command": MERGED, "config": {}, "shards": [one, one]})
-    (tmp_path / "runs.provenance.json").write_text(merged)
-    assert tables.page(Results(tmp_path)) == of_whole
+    assert tables.page(of_shards) == of_whole
     readme = re.findall(r"^\| (?!--)(.*) \|$", of_whole, re.MULTILINE)
     plain = [re.sub(r"`|\*\*", "", line) for line in readme]
     expected = {tuple(re.sub(r"(?<!\\)\|", " ", line).split()) for line in plain}
@@ -94,10 +92,9 @@ def test_the_headline_is_computed():
     runs = made_up_runs(flights=4)
     joint = runs["method"] == "joint"
     runs.loc[joint, ["t_d_error_ms", "r_error_deg", "t_error_deg"]] = [0.0625, 0.25, 0.125]
+    compared = pd.DataFrame({"published_mean": [0.5, 0.25] * 2})
     verdicts = ["agrees", "better", "differs", "agrees"]
-    compared = pd.DataFrame(
-        {"quantity": "ssac_t_d_error_ms", "published_mean": [0.5, 0.25] * 2, "verdict": verdicts}
-    )
+    compared = compared.assign(quantity="ssac_t_d_error_ms", verdict=verdicts)
     found = report.headline(runs, compared)
     assert (found["best"], found["best_errors"]) == ("joint", [0.0625, 0.25, 0.125])
     assert found["ours"] == runs.loc[runs["method"] == "ssac", "t_d_error_ms"].mean()
@@ -110,10 +107,8 @@ def test_the_headline_is_computed():
 def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
     folder, flight_folder, tmp_path, page, monkeypatch
 ):
-    asked = []
-    monkeypatch.setattr(
-        Cache, "recording_folder", lambda _, *flight: asked.append(flight) or flight_folder
-    )
+    recorded = Mock(return_value=flight_folder)
+    monkeypatch.setattr(Cache, "recording_folder", recorded)
     check_page(page)
     n_figures = len(FIGURES) + len(ABLATIONS)
     assert page.count('<img src="data:image/png;base64,') == n_figures
@@ -121,7 +116,8 @@ def test_the_command_writes_one_page_that_is_well_formed_and_needs_nothing_else(
     out = tmp_path / "new" / "report.html"
     report.report_command(folder, tmp_path / "cache", out)
     assert out.read_text(encoding="utf-8") == page  # the same input gives the same bytes
-    assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, report.SEED)]
+    ((config, seed),) = (call.args for call in recorded.call_args_list)
+    assert (config.angle_deg, seed) == (90.0, report.SEED)
     with pytest.raises(SsacError, match="is a folder: name a file"):
         report.report_command(folder, tmp_path / "cache", tmp_path)
 

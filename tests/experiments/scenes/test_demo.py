@@ -19,26 +19,19 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from tests.sim.scenes import COARSE
 
-TRUTH = Truth(
-    t_d_s=0.05,
-    R=np.eye(3),
-    t=np.array([1.0, 0.0, 0.0]),
-    baseline_m=7.0,
-    times_s=np.zeros(1),
-    T_W_B=np.eye(4)[None],
-    centres_px=np.zeros((2, 1, 2)),
-)
-
 
 def test_the_comparison_shows_estimate_truth_and_error():
-    estimate = Estimate("ssac", t_d_s=0.0512, R=np.eye(3), t=TRUTH.t, n_samples=9, d_avg_px=0.4)
-    head, _, t_d, R, t = comparison(estimate, TRUTH).splitlines()
+    at_rest = {"times_s": np.zeros(1), "T_W_B": np.eye(4)[None], "centres_px": np.zeros((2, 1, 2))}
+    pose = {"R": np.eye(3), "t": np.array([1.0, 0.0, 0.0])}
+    truth = Truth(t_d_s=0.05, baseline_m=7.0, **pose, **at_rest)
+    estimate = Estimate("ssac", t_d_s=0.0512, n_samples=9, d_avg_px=0.4, **pose)
+    head, _, t_d, R, t = comparison(estimate, truth).splitlines()
     assert head == "ssac: 9 samples, d_avg 0.400 px"
     assert t_d.split() == ["t_d", "51.200", "ms", "50.000", "ms", "1.200", "ms"]
     assert R.endswith("0.000 deg")
     assert t.endswith("0.000 deg")
     refused = Estimate("ssac", status="too_few_samples", reason="only 3 of them")
-    assert comparison(refused, TRUTH) == "ssac: too_few_samples: only 3 of them"
+    assert comparison(refused, truth) == "ssac: too_few_samples: only 3 of them"
 
 
 def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_path):
@@ -81,26 +74,21 @@ def test_figures_are_those_of_the_truth():
     assert scene_figures(fast).mean_distance_px == pytest.approx(figures.mean_distance_px, rel=0.1)
     assert scene_figures(noisy).wide_px == pytest.approx(figures.wide_px, rel=0.2)
     # 5 events a camera make no valid sample.
-    few = tuple(
-        replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras
-    )
+    few = [replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras]
     with pytest.raises(SsacError, match="no figures: at no sample time do both cameras see"):
-        scene_figures(replace(recording, cameras=few))
+        scene_figures(replace(recording, cameras=tuple(few)))
 
 
 def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, capsys):
-    flown = []
-
-    def take(config, seed):
-        flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
-        return SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6)
-
-    monkeypatch.setattr(scene, "simulate", take)
-    monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
+    figures, flown = SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6), []
+    monkeypatch.setattr(scene, "simulate", lambda *of: flown.append(of))
+    monkeypatch.setattr(scene, "scene_figures", lambda _: figures)
     scene.scene_command(seeds=2, first_seed=9100, drone="two-tone")
-    assert flown == [("two-tone", 90.0, 20.0, seed) for seed in (9100, 9101)]
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert len(lines) == 2 + len(SHOWN)
-    assert lines[2] == "| median image speed [px/s] | 198 | 198 |"
-    assert lines[3] == "| sample times valid in both views | 348 of 400 | 348 of 400 |"
-    assert lines[7] == "| width in the event image [px] | 20-45 | 20-45 |"
+    usual = {"angle_deg": 90.0, "spline": SplineConfig(20.0), "frames": COARSE.frames}
+    config = SimConfig(drone="two-tone", **usual)
+    assert flown == [(config, 9100), (config, 9101)]
+    _, _, *lines = (" ".join(line.split()) for line in capsys.readouterr().out.splitlines())
+    assert len(lines) == len(SHOWN)
+    assert lines[0] == "| median image speed [px/s] | 198 | 198 |"
+    assert lines[1] == "| sample times valid in both views | 348 of 400 | 348 of 400 |"
+    assert lines[5] == "| width in the event image [px] | 20-45 | 20-45 |"

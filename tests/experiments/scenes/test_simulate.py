@@ -41,8 +41,8 @@ def truth_of(folder):
 @pytest.mark.render
 def test_the_folder_holds_what_the_design_says(tmp_path):
     plain = tmp_path / "new" / "recording"
-    late = ["--t-d", 0.05, "--skew-ppm", 1000]
-    said = simulate(plain, *FAST, *late, "--angle", 60, "--text", "--figures")
+    more = ["--t-d", 0.05, "--skew-ppm", 1000, "--angle", 60, "--text", "--figures"]
+    said = simulate(plain, *FAST, *more)
     assert "| median image speed [px/s] | 198 |" in " ".join(said.split())
     files = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json", "truth.tum"}
     assert files == FILES  # of a demo, which replaces no others
@@ -53,14 +53,11 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
     path = read_path(plain / "truth.tum")
     np.testing.assert_allclose(path.times_s, truth["times_s"], atol=1e-7)  # a TUM file's digits
     np.testing.assert_allclose(path.positions_m, truth["drone_position_W_m"], atol=1e-8)
-    turns = (
-        Rotation.from_quat(path.quaternions)
-        * Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).inv()
-    )
-    assert turns.magnitude().max() < 1e-7
-    frames = load_frames(plain / "cam2.h5")
+    turned = Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"])
+    assert (Rotation.from_quat(path.quaternions) * turned.inv()).magnitude().max() < 1e-7
+    times_us, _ = load_frames(plain / "cam2.h5")
     # Middle of the first exposure on camera 2's clock, which the skew sets back by 1 ms there.
-    assert frames[0][0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
+    assert times_us[0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
 
 
 @pytest.mark.render
@@ -85,11 +82,10 @@ def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
     """The recordings are of a bird close to cameras that have a preset."""
     near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15, "--frame-rate", 25]
     preset = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
-    arguments = [*FAST, "--seed", 2**32 - 1, *near, *preset]
     for left in (tmp_path / "a" / "a", tmp_path / "b"):  # by runs that were killed
         made_by(left, ended_process()).mkdir(parents=True)
     for name in ("a", "b"):
-        simulate(tmp_path / name, *arguments)
+        simulate(tmp_path / name, *FAST, "--seed", 2**32 - 1, *near, *preset)
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     a, b = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in "ab")
     assert a == b
@@ -122,16 +118,16 @@ def test_an_option_that_is_not_given_has_the_default_of_its_field():
     assert chosen(defaults) == (SimConfig(), DisturbConfig())
 
 
-def flat(made):
-    sim, disturb = map(asdict, made)
-    return pd.json_normalize({**sim, "disturb": disturb}).astype(object).iloc[0].to_dict()
+def flat(sim, disturb):
+    fields = asdict(sim) | {"disturb": asdict(disturb)}
+    return pd.json_normalize(fields).astype(object).iloc[0].to_dict()
 
 
 @pytest.mark.parametrize("name", [name for name, option in OPTIONS.items() if option.field])
 def test_an_option_sets_its_field_and_no_other(name):
     default = DEFAULTS[name]
     value = OTHERS.get(name, 0.5 * default if default and isinstance(default, float) else 1)
-    before, after = flat(chosen({})), flat(chosen({name: value}))
+    before, after = (flat(*chosen(given)) for given in ({}, {name: value}))
     changed = {key: one for key, one in after.items() if one != before.get(key)}
     assert changed == {OPTIONS[name].field: value}
 

@@ -2,22 +2,20 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair
 from experiments.lab.schedule import Workers, run_cells
 from experiments.worlds import bench
 from experiments.worlds.bench import ALL, IMPERFECTIONS, KINDS, NONE, all_but, bench_of, only
-from sim.scene.rig import Camera
-from sim.sensor.kernels import EVENT_DTYPE
 from sim.twin.bench import bench_rig
-from sim.twin.calibration import CalibrationConfig, exact
+from sim.twin.calibration import exact
 from ssac.track.observation import Observation
+from tests.recorded import empty_events
 
 PLACE = (65.06, 10.0, 7)
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
@@ -53,31 +51,21 @@ def test_what_is_not_calibrated_is_true() -> None:
     assert (of_all.T_2_1 != of_truth.T_2_1).any()
 
 
-def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch) -> None:
     """Results cannot reveal equal draws, as the cameras' places differ: the draws are recorded."""
-    drawn = []
-
-    def calibrated(camera: Camera, _: CalibrationConfig, rng: np.random.Generator) -> Any:
-        drawn.append(rng.standard_normal())
-        return exact(camera)
-
+    calibrated = Mock(side_effect=lambda camera, *_: exact(camera))
     monkeypatch.setattr(bench, "calibrated_camera", calibrated)
     bench.known_rig.__wrapped__(bench_of(only("intrinsics"), *PLACE))  # past its cache
-    assert len(set(drawn)) == 2
+    assert len({call.args[-1].standard_normal() for call in calibrated.call_args_list}) == 2
 
 
-def test_each_camera_sees_the_room_from_its_own_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def events(*about: Any) -> np.ndarray:
-        asked.append(about[-1])
-        return np.empty(0, EVENT_DTYPE)
-
-    monkeypatch.setattr(bench, "room_events", events)
-    nothing = Observation(np.empty(0, EVENT_DTYPE))
+def test_each_camera_sees_the_room_from_its_own_place(monkeypatch) -> None:
+    room = Mock(return_value=empty_events())
+    monkeypatch.setattr(bench, "room_events", room)
+    nothing = Observation(empty_events())
     (cell,) = bench.cells_of(bench_of(only("wire"), *PLACE), {}, FLIGHT, (5.0,), ("ssac",))
     bench._recorded(cell, Pair(nothing, nothing, bench.known_rig(cell.bench)))
-    assert asked == [0, 1]
+    assert [call.args[-1] for call in room.call_args_list] == [0, 1]
 
 
 def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: Path) -> None:
