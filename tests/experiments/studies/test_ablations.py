@@ -1,7 +1,7 @@
 """Ablations and users' own grids: tables and figures of their runs, and tangency's variants."""
 
+from pathlib import Path
 from shutil import copy
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from experiments.lab import study as lab
 from experiments.lab.grid import grid_from_content
-from experiments.lab.results import record_checksums
+from experiments.lab.results import Results, csv_text, record_checksums
 from experiments.lab.schedule import Outcome
 from experiments.paper.esim import ERRORS
 from experiments.studies.ablations import ablation_table, points_figure, points_table, sweep_study
@@ -69,9 +69,9 @@ def test_ablations_and_points_count_what_was_refused_and_how_runs_scatter() -> N
     values = np.array([31.0, 32.0, 33.0, 34.0])
     assert means["t_d_error_ms_std"][1] == pytest.approx(values.std())
     half = student.ppf(0.975, 3) * values.std(ddof=1) / 2.0
-    assert points["t_d_error_ms_low"][1] == pytest.approx(32.5 - half)
-    assert points["t_d_error_ms_high"][1] == pytest.approx(32.5 + half)
-    assert np.isnan(points["t_d_error_ms_low"][0])  # one run has no interval
+    ends = points[["t_d_error_ms_low", "t_d_error_ms_high"]]
+    assert tuple(ends.iloc[1]) == pytest.approx((32.5 - half, 32.5 + half))
+    assert np.isnan(ends.iloc[0]).all()  # one run has no interval
 
 
 @pytest.mark.parametrize("kind", [float, str])
@@ -88,34 +88,29 @@ def test_the_figure_of_ones_own_grid_has_the_axis_that_its_file_asks_for() -> No
     look = {"x": "sim.angle_deg", "label": "angle [mrad]", "scale": 17.45, "log": True}
     grid = grid_from_content("my", {"grid": {"sim": {"angle_deg": [30, 90]}}, "figure": look})
     (draw,) = (one for one in sweep_study(grid, "my.csv", "").makes if one.file == "my.png")
-    table = points_table(runs(), VARIED)
-    shown = []
-    points = SimpleNamespace(table=lambda _: table)
-    for axes in draw.make(points).axes:
-        shown += [axes.get_xlabel(), axes.get_xscale()]
+    table = csv_text(points_table(runs(), VARIED))
+    figure = draw.make(Results(Path(), {"my_cells.csv": table}))
+    assert len(figure.axes) == len(ERRORS)
+    for axes in figure.axes:
+        assert (axes.get_xlabel(), axes.get_xscale()) == ("angle [mrad]", "log")
         for bars in axes.containers:
             assert list(bars.lines[0].get_xdata()) == pytest.approx([523.5, 1570.5])
-    assert shown == ["angle [mrad]", "log"] * len(ERRORS)
 
 
 @pytest.mark.parametrize(
-    ("command", "names"),
-    [
-        ("ablate", {"my_runs.csv", "my_runs.provenance.json", "my.csv", "my.provenance.json",
-                    "my.png"}),
-        ("sweep", {"rows.csv", "rows.provenance.json", "rows_cells.csv",
-                   "rows_cells.provenance.json", "rows.png"}),
-    ],
-)  # fmt: skip
-def test_ones_own_file_ends_in_a_table_and_a_figure(tmp_path, monkeypatch, command, names) -> None:
-    config, out = tmp_path / "my.toml", tmp_path / "out"
-    config.write_text(TOML)
+    ("command", "place", "tables", "figure"),
+    [("ablate", "", ("my_runs", "my"), "my"), ("sweep", "a.csv", ("a", "a_cells"), "a")],
+)
+def test_ones_own_file_ends_in_a_table_and_a_figure(
+    tmp_path, monkeypatch, command, place, tables, figure
+) -> None:
+    (tmp_path / "my.toml").write_text(TOML)
     monkeypatch.setattr(lab, "run_cells", lambda *_, **__: Outcome(runs(), 8, 8, 1.0))
     monkeypatch.setattr(lab, "context_or_none", lambda: None)
-    place = out / "rows.csv" if command == "sweep" else out
-    said = run(command, config, "--out", place, "--cache", tmp_path)
-    assert {path.name for path in out.iterdir()} == names
-    assert "t_d_error_ms ± median" in said  # the table is shown, too
+    folders = "--out", tmp_path / "out" / place, "--cache", tmp_path
+    assert "t_d_error_ms ± median" in run(command, tmp_path / "my.toml", *folders)  # the table
+    names = {f"{name}{end}" for name in tables for end in (".csv", ".provenance.json")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, f"{figure}.png"}
 
 
 def test_two_files_of_one_name_are_refused(tmp_path) -> None:

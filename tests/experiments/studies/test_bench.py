@@ -36,11 +36,10 @@ def made_up_growth() -> pd.DataFrame:
 
 
 def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -> None:
-    (tmp_path / "bench_growth.csv").write_text(csv_text(made_up_growth()))
+    results = Results(tmp_path, {"bench_growth.csv": csv_text(made_up_growth())})
     done = run_task((PartCell("no-such-part"),), Cache(tmp_path), PART)
-    rows = pd.DataFrame([{"part": "a", "status": "ok", "reason": "", "measurements": []}])
-    failed = {"part": "no-such-part", **done.rows[0]}
-    table = bench_table(pd.concat([rows, pd.DataFrame([failed])]), Results(tmp_path))
+    ok = {"part": "a", "status": "ok", "reason": "", "measurements": []}
+    table = bench_table(pd.DataFrame([ok, {"part": "no-such-part", **done.rows[0]}]), results)
     assert table["name"][0].startswith("no-such-part: not measured (no-such-part: KeyError")
     assert np.isnan(table["value"][0])
     assert table["name"].tolist()[1:] == [row.name for row in growth_rows(made_up_growth())]
@@ -51,13 +50,10 @@ def test_renderers_and_methods_are_timed(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(parts, "N_POSES", 20)
     monkeypatch.setattr(parts, "REPEATS", 1)
     monkeypatch.setattr(parts, "OURS", [METHODS["joint"], METHODS["zncc_f"]])
-    rows = [
-        *parts.bench_rendering(),
-        *parts.bench_sync(SimConfig(spline=SplineConfig(duration_s=3.0))),
-    ]
-    assert [row.name for row in rows[2:]] == [
-        f"sync, {name}: all but reading" for name in ("joint", "zncc_f")
-    ]
+    short = SimConfig(spline=SplineConfig(duration_s=3.0))
+    rows = [*parts.bench_rendering(), *parts.bench_sync(short)]
+    names = [f"sync, {name}: all but reading" for name in ("joint", "zncc_f")]
+    assert [row.name for row in rows[2:]] == names
     assert [np.isfinite(row.mark) for row in rows] == [False, True, False, False]
     assert all(row.value > 0.0 for row in rows)
 

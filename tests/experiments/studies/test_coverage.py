@@ -8,14 +8,8 @@ import pandas as pd
 import pytest
 
 from experiments.drawing.errors import pooled
-from experiments.studies import coverage
+from experiments.studies import coverage, efficiency
 from experiments.studies.coverage import QUANTITIES, coverage_table
-from experiments.studies.efficiency import (
-    KNOWN_POSE,
-    SAMPLES,
-    efficiency_table,
-    runs_beside_bounds,
-)
 from tests.experiments.reported import made_up_runs
 
 T_D_MS = 50.0
@@ -36,8 +30,9 @@ def drawn_runs(n: int = 400, scale: float = 1.0) -> pd.DataFrame:
             "t_d_estimate_ms": T_D_MS + error_ms, "t_d_std_ms": 0.2,
             "skew_error_ppm": skew_ppm, "skew_std_ppm": 30.0,
         }  # fmt: skip
-        values = pose if method == "joint" else [np.nan] * 7
-        rows.append(row | dict(zip(of_pose, values, strict=True)))
+        if method == "joint":
+            row |= dict(zip(of_pose, pose, strict=True))
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -104,9 +99,10 @@ def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> No
 
 def made_up_bounds(flights: int = 3) -> pd.DataFrame:
     """Return made-up bounds of all methods, which differ by angle, flight and duration."""
-    flown = product((10.0, 20.0), (30.0, 60.0, 90.0, 120.0, 150.0), range(flights), SAMPLES)
+    angles_deg = (30.0, 60.0, 90.0, 120.0, 150.0)
+    flown = product((10.0, 20.0), angles_deg, range(flights), efficiency.SAMPLES)
     table = pd.DataFrame(flown, columns=["duration_s", "angle_deg", "flight", "method"])
-    known = table["method"].isin(KNOWN_POSE)
+    known = table["method"].isin(efficiency.KNOWN_POSE)
     t_d_bound_ms = 1e-3 * (table["angle_deg"] + table["flight"]) / np.sqrt(table["duration_s"])
     return table.assign(
         status="ok", sigma_px=0.3, n_samples=340, t_d_bound_ms=t_d_bound_ms,
@@ -115,11 +111,11 @@ def made_up_bounds(flights: int = 3) -> pd.DataFrame:
 
 
 def test_errors_as_large_as_the_bound_lets_expect_have_efficiency_one() -> None:
-    beside = runs_beside_bounds(made_up_runs(("joint",), 30), made_up_bounds(30))
+    beside = efficiency.runs_beside_bounds(made_up_runs(("joint",), 30), made_up_bounds(30))
     beside = pd.concat([beside] * 10, ignore_index=True)
     noise = np.random.default_rng(0).standard_normal(len(beside))
     beside["t_d_error_ms"] = np.abs(noise) * beside["t_d_bound_ms"]
-    efficiencies = efficiency_table(beside)["t_d_efficiency"]
+    efficiencies = efficiency.efficiency_table(beside)["t_d_efficiency"]
     # 300 errors in each of 30 cells: 0.16 is four standard errors of 1 / sqrt(600).
     assert np.all(np.abs(efficiencies - 1.0) < 0.16)
     assert efficiencies.mean() == pytest.approx(1.0, abs=0.03)
@@ -129,7 +125,7 @@ def test_neither_failed_runs_nor_flights_without_a_bound_are_compared() -> None:
     runs, bounds = made_up_runs(("joint", "zncc_e"), 3), made_up_bounds()
     runs.loc[0, ["status", "t_d_error_ms"]] = ["too_few_samples", np.nan]
     bounds.loc[bounds["flight"] == 2, "status"] = "unusable"
-    cells = efficiency_table(runs_beside_bounds(runs, bounds))
+    cells = efficiency.efficiency_table(efficiency.runs_beside_bounds(runs, bounds))
     assert set(cells["method"]) == {"joint"}
     assert sorted(cells["n_runs"].unique()) == [1, 2]
     assert cells["t_d_efficiency"].notna().all()

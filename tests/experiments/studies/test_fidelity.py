@@ -1,12 +1,13 @@
 """Events compared with those of a denser rendering, and the cells of the comparison."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.results import Results, csv_text, save_text
+from experiments.lab.results import Results, csv_text
 from experiments.studies import fidelity
 from sim.recording import SimConfig
 from sim.sensor.kernels import EVENT_DTYPE
@@ -58,9 +59,8 @@ def test_the_reference_is_denser_and_renderers_are_compared_on_the_same_flights(
         assert not cell.estimator.rules.tangency.joins_body
 
 
-def test_a_mark_that_is_missed_at_one_duration_is_named(tmp_path) -> None:
+def test_a_mark_that_is_missed_at_one_duration_is_named() -> None:
     table = pd.DataFrame({column: [most, 0.5 * most] for column, most in fidelity.MARKS.items()})
     for missed, said in (([], "met"), (["spurious"], "**not met** (spurious)")):
         table.loc[1, missed] = 0.06
-        save_text(tmp_path / "fidelity.csv", csv_text(table))
-        assert fidelity.verdict(Results(tmp_path)) == said
+        assert fidelity.verdict(Results(Path(), {"fidelity.csv": csv_text(table)})) == said

@@ -16,6 +16,7 @@ from experiments.studies.refusal import ReasonRow, judged
 from experiments.worlds import open_flights
 from experiments.worlds.open_flights import CAUSES, T_D_S, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import KindCell
+from sim.render.config import SamplingConfig
 from sim.scene.trajectory import Trajectory
 from ssac.config import Config
 from ssac.estimate import Estimate
@@ -28,8 +29,7 @@ PAIR = Pair(*(Observation(events) for events in make_events(FLIGHT, 0, T_D_S)), 
 
 
 def case_of(t_d_s: float = 0.05) -> OpenCase:
-    cam1, cam2 = PAIR[:2]
-    return OpenCase(cam1, cam2, FLIGHT.rig, Config(denoise=False), Truth(t_d_s, FLIGHT.R, T))
+    return OpenCase(*PAIR, Config(denoise=False), Truth(t_d_s, FLIGHT.R, T))
 
 
 @pytest.mark.parametrize(
@@ -61,12 +61,12 @@ def test_a_refused_answer_is_not_confident_and_may_list_the_true_offset() -> Non
 def test_every_method_is_judged_on_every_kind_of_a_flight(kind, monkeypatch):
     made, sim = [], open_flights.flight_config("ordinary", 90.0)
     monkeypatch.setattr(open_flights, "flight_of", lambda *of: made.append(of[2]) or PAIR)
-    rows = [
-        refusal.refusal_row(KindCell(sim, 1, 2, kind, 3, method), Cache())
+    statuses = {
+        refusal.refusal_row(KindCell(sim, 1, 2, kind, 3, method), Cache()).status
         for method in refusal.METHOD_NAMES
-    ]
-    if kind == "no-overlap":  # recordings a minute apart have no common time in the interval
-        assert {row.status for row in rows} == {"no_common_time"}
+    }
+    # Recordings a minute apart have no common time in the interval.
+    assert kind != "no-overlap" or statuses == {"no_common_time"}
     assert made == [2]  # once for all methods; none of these kinds needs the other flight
 
 
@@ -74,16 +74,13 @@ def test_every_method_is_judged_on_every_kind_of_a_flight(kind, monkeypatch):
 def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
     simulated, record = [], module.record
 
-    def counted(config, seed, *rest):
+    def counted(config, *rest):
         simulated.append(config.trajectory_file)
-        coarse = replace(config.sampling, max_step_px=2.0)
-        return record(replace(config, sampling=coarse), seed, *rest)
+        return record(replace(config, sampling=SamplingConfig(max_step_px=2.0)), *rest)
 
     monkeypatch.setattr(module, "record", counted)
-    config = open_flights.flight_config("circle", 90.0)
-    first, again, other = (
-        open_flights.flight_of("circle", config, n, Cache(tmp_path)) for n in (5, 5, 6)
-    )
+    of = "circle", open_flights.flight_config("circle", 90.0)
+    first, again, other = (open_flights.flight_of(*of, n, Cache(tmp_path)) for n in (5, 5, 6))
     assert len(simulated) == 2
     assert not any(file.exists() for file in simulated)
     assert np.array_equal(first.cam2.events, again.cam2.events)
@@ -94,14 +91,8 @@ def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
 
 CELLS = refusal.reason_cells(base=1, recordings=1)
 
-TWINS = (
-    "at rest",
-    "outside the interval",
-    "short",
-    "different objects",
-    "clock jumps, tracks",
-    "orbit",
-)
+TWINS = ("at rest", "outside the interval", "short", "different objects", "clock jumps, tracks",
+         "orbit")  # fmt: skip
 """Causes that are also tested in another form: tracks in place of events, or events for tracks.
 That the outlines of an orbit tell no more than those of a circle is tested in `test_tangency.py`.
 """

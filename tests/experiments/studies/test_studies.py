@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from shutil import copy
 
 import numpy as np
 import pandas as pd
@@ -34,10 +33,8 @@ WITH_CELLS = [
     if study.runs is not None and study.runs.table is None and study.how is not How.GIVEN
 ]
 
-OWN_FLIGHTS = (
-    *("coverage", "refusal", "imperfect", "marks", "tangency", "fidelity"),
-    *("mini_10", "mini_20", "error_budget", "light_latency"),
-)
+OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "fidelity", "mini_10",
+               "mini_20", "error_budget", "light_latency")  # fmt: skip
 """Studies none of whose flights is one of the tables or of another study."""
 
 
@@ -78,9 +75,8 @@ OF_CORRELATION = RUN.replace("ssac", "zncc_e")
     [
         ("tables", "runs", RUN, {}, None),
         ("tables", "runs", RUN, {"status": CRASHED}, "no run crashed"),
-        ("tables", "runs", RUN, {"t_d_error_ms": -1.0}, "errors are possible ones"),
-        ("tables", "runs", RUN, {"t_d_error_ms": np.nan}, "errors are possible ones"),
-        ("tables", "runs", RUN, {"t_d_estimate_ms": np.nan}, "errors are possible ones"),
+        *(("tables", "runs", RUN, change, "errors are possible ones") for change in (
+            {"t_d_error_ms": -1.0}, {"t_d_error_ms": np.nan}, {"t_d_estimate_ms": np.nan})),
         ("tables", "runs", RUN, {"r_error_deg": 181.0}, "angles are angles"),
         ("tables", "runs", RUN, {"t_error_deg": -0.1}, "angles are angles"),
         ("tables", "runs", RUN, {"t_d_estimate_ms": 77.0}, "errors are those of the estimates"),
@@ -98,27 +94,22 @@ OF_CORRELATION = RUN.replace("ssac", "zncc_e")
         ("bench", "bench", "value > 0", {"value": 0.0}, "it is a benchmark"),
         ("bench", "bench_growth", "sensor == '1280 x 720'", {"peak_mb": 1e6}, "it is a benchmark"),
         ("bench_growth", "bench_growth", "status == 'ok'", {}, None),
-        ("bench_growth", "bench_growth", "status == 'ok'", {"status": "no_match"},
-         "every step was measured"),
-        ("bench_growth", "bench_growth", "status == 'ok'", {"cpu_s": np.nan},
-         "every step was measured"),
+        *(("bench_growth", "bench_growth", "status == 'ok'", change, "every step was measured")
+          for change in ({"status": "no_match"}, {"cpu_s": np.nan})),
     ],
 )  # fmt: skip
-def test_an_impossible_number_is_found(tmp_path, name, table, where, changed, fault) -> None:
+def test_an_impossible_number_is_found(name, table, where, changed, fault) -> None:
     """The first matching committed row is changed. `test_real.py` tests the checks of `real`."""
-    study = STUDIES[name]
-    for file in (study.runs.file, *study.reads):
-        copy(RESULTS / file, tmp_path)
     rows = Results(RESULTS).table(table)
     for column, value in changed.items():
         rows.loc[rows.query(where).index[0], column] = value
-    (tmp_path / f"{table}.csv").write_text(csv_text(rows))
-    found = [what for what, check in study.checks if list(check(Results(tmp_path)))]
+    results = Results(RESULTS, {f"{table}.csv": csv_text(rows)})
+    found = [what for what, check in STUDIES[name].checks if list(check(results))]
     assert (fault in found) if fault else not found
 
 
 @pytest.mark.parametrize("name", [name for name in WITH_CELLS if STUDIES[name].is_committed])
-def test_a_run_that_makes_no_sense_is_found_in_every_study(tmp_path: Path, name: str) -> None:
+def test_a_run_that_makes_no_sense_is_found_in_every_study(name: str) -> None:
     study = replace(STUDIES[name], makes=(), checks=())
     runs = Results(RESULTS).table(study.runs.file.removesuffix(".csv"))
     (place, *_) = runs.index[runs["status"] == "ok"]
@@ -133,8 +124,7 @@ def test_a_run_that_makes_no_sense_is_found_in_every_study(tmp_path: Path, name:
         damaged = runs.copy()
         for column, value in changed.items():
             damaged.loc[place, column] = value
-        (tmp_path / study.runs.file).write_text(csv_text(damaged))
-        findings = list(study_findings(study, Results(tmp_path)))
+        findings = study_findings(study, Results(RESULTS, {study.runs.file: csv_text(damaged)}))
         (found,) = (one.faults for one in findings if "known statuses" in one.what)
         place_of_fault = f"row {place}: {fault}"
         assert any(place_of_fault in one for one in found) if fault else not found
@@ -146,7 +136,7 @@ def test_flights_of_studies_are_their_own() -> None:
     for name in OWN_FLIGHTS:
         cells = cells_of(STUDIES[name])
         seeds[name] = {cell.columns["seed"] for cell in cells}
-        others = {cell.other_seed for cell in cells if hasattr(cell, "other_seed")}
+        others = {getattr(cell, "other_seed", None) for cell in cells}
         assert not seeds[name] & others, name
     for (name, mine), (other, theirs) in combinations(seeds.items(), 2):
         assert not mine & theirs, (name, other)
@@ -159,11 +149,10 @@ def flights(cells: Iterable[Cell]) -> set[Flight]:
 
 def test_what_stands_beside_the_tables_is_of_their_flights() -> None:
     of_tables, measured = flights(table_cells()), flights(measured_cells())
-    plain = {(figures.FLIGHT, figures.SEED)}
     of_estimator = ("window", "n_min", "samples", "angle")
     ablations = [flights(named_config(f"ablation_{name}").cells()) for name in of_estimator]
-    for some in (measured, plain, flights(renderer_cells()), *ablations):
-        assert some <= of_tables
+    plain = {(figures.FLIGHT, figures.SEED)}
+    assert of_tables.issuperset(plain.union(measured, flights(renderer_cells()), *ablations))
     assert Counter(sim.spline.duration_s for sim, _ in measured) == {10.0: 4, 20.0: 4}
     grid = named_config("ablation_davis346")
     noisy = {"frames": FrameConfig(rate_hz=0.0), "sensor": PRESETS["davis346"]}
@@ -178,9 +167,8 @@ def test_tables_of_the_bench_share_recordings_and_a_trial_run_says_that_it_has_f
     assert len({cell.recordings for cell in cells}) == len({cell.seed for cell in cells}) == 4 * 10
     assert len({cell.sim.setup_seed for cell in cells}) == 4
     for study in physical.STUDIES:
-        cells = study.cells(recordings=1)
-        per_place = {(cell.sim.angle_deg, cell.seed) for cell in cells}
-        assert len(per_place) == len({cell.sim.angle_deg for cell in cells})
+        of_places = {(cell.sim.angle_deg, cell.seed) for cell in study.cells(recordings=1)}
+        assert len(of_places) == len(dict(of_places))
         assert study.command_line({"recordings": None}) == "ssac physical"
         assert study.command_line({"recordings": 1}) == "ssac physical --recordings 1"
 
