@@ -72,49 +72,38 @@ def hot(x, y, size_px, duration_us=LONG_US):
     return merged(*(pixel_events(column, row, 700, duration_us) for row, column in places))
 
 
+LONE = [(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]
+
+
 @pytest.mark.parametrize(
-    ("fires", "squares", "hz"),
+    ("fires", "squares", "hz", "duration_us"),
     [
         # Alone in a corner, and where the object passes.
-        *((lamp, [(*place, 3)], 10.0) for place in ((3, 60), (40, 35))),
-        *((lamp, [(*place, 12)], 0.0) for place in ((3, 60), (40, 35))),
-        (hot, [(5, 5, 3), (30, 60, 3), (80, 20, 3)], 0.2),
+        *((lamp, [(*place, 3)], 10.0, LONG_US) for place in ((3, 60), (40, 35))),
+        *((lamp, [(*place, 12)], 0.0, LONG_US) for place in ((3, 60), (40, 35))),
+        (hot, [(5, 5, 3), (30, 60, 3), (80, 20, 3)], 0.2, LONG_US),
+        # Lone pixels are told in short recordings, too.
+        *((hot, [(*place, 1) for place in places], 1.0, 1_000_000) for places in LONE),
     ],
 )
-def test_what_fires_by_itself_is_masked_whole_and_nothing_else(fires, squares, hz):
-    parts = [fires(*square, LONG_US) for square in squares]
-    found = mask_of(merged(blob(flight), *parts, noise(WIDTH, HEIGHT, hz, LONG_US)))
-    np.testing.assert_array_equal(found, pixels(*squares))
-
-
-@pytest.mark.parametrize(
-    "lone", [[(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]]
-)
-def test_lone_hot_pixels_are_masked_in_short_recordings_too(lone):
-    parts = [hot(x, y, 1, 1_000_000) for x, y in lone]
-    found = mask_of(merged(noise(WIDTH, HEIGHT, 1.0, 1_000_000), *parts))
-    np.testing.assert_array_equal(found, pixels(*((x, y, 1) for x, y in lone)))
-
-
-def test_a_gap_in_the_recording_changes_nothing():
-    events = merged(lamp(40, 35, 6, LONG_US), blob(flight))
+def test_what_fires_by_itself_is_masked_whole_and_nothing_else(fires, squares, hz, duration_us):
+    parts = [fires(*square, duration_us) for square in squares]
+    parts += [noise(WIDTH, HEIGHT, hz, duration_us)] + [blob(flight)] * (duration_us == LONG_US)
+    events = merged(*parts)
     late = events.copy()
     late["t"] += 3_600_000_000
-    np.testing.assert_array_equal(mask_of(merged(events, late)), pixels((40, 35, 6)))
+    for recorded in (events, merged(events, late)):  # a gap changes nothing
+        np.testing.assert_array_equal(mask_of(recorded), pixels(*squares))
 
 
-def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background():
-    assert masked_pixels(blob(flight), WIDTH, HEIGHT, RULES)[1] == 0.0
-    for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
+def test_a_short_recording_tells_no_lamp_and_a_clean_one_has_no_background():
+    # A thin bar that sweeps, and then stands still and flickers for most of a short recording.
+    bar = [pixel_events(x, y, 6) for x in range(5, 50) for y in range(10, 25)]
+    bar += [pixel_events(50, y, 700) for y in range(10, 25)]
+    for events in (lamp(40, 35, 6, 1_500_000), merged(*bar), np.empty(0, EVENT_DTYPE)):
         assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
-
-
-def test_a_bar_that_stands_and_flickers_stays():
-    # A thin bar that sweeps, and then stands still and flickers for most of a short recording.
-    sweep = [pixel_events(x, y, 6) for x in range(5, 50) for y in range(10, 25)]
-    stand = [pixel_events(50, y, 700) for y in range(10, 25)]
-    assert not mask_of(merged(*sweep, *stand)).any()
+    assert masked_pixels(blob(flight), WIDTH, HEIGHT, RULES)[1] == 0.0
 
 
 @pytest.mark.parametrize("hz", [0.2, 1.0, 10.0])
