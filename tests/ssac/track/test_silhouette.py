@@ -10,14 +10,8 @@ from scipy.spatial.transform import Rotation
 from ssac import Camera
 from ssac.events import events_from_arrays
 from ssac.rules import BodyRules, SilhouetteRules
+from ssac.track import moments
 from ssac.track.body import Look, body_moves
-from ssac.track.moments import (
-    View,
-    image_by_place,
-    moments_of_two,
-    perspective_shifts,
-    second_moments,
-)
 from ssac.track.silhouette import Linked, Silhouettes, _bare_us, _level_at, silhouettes
 from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 from tests.ssac.cluttered import merged, noise
@@ -27,6 +21,7 @@ CAMERA = Camera(np.array([[100.0, 0.0, 160.0], [0.0, 100.0, 160.0], [0.0, 0.0, 1
 MIDDLE = np.array([160.3, 159.8])
 WINDOW = 50  # width [px] of the part drawn, which holds the shape
 LIGHT, DARK = 0.4, 0.05
+BRIGHT = 0.95  # by three and a half thresholds only, so that levels are coarser
 THRESHOLD = 0.25
 SPEED_PX_S, STEP_PX = 200.0, 0.1
 FINE = 5  # samples across a pixel
@@ -92,60 +87,60 @@ def found_of(events, times_s, track_px, spread, **rules) -> Silhouettes | None:
     return silhouettes(events, events, CAMERA, times_s, track_px, sizes, SilhouetteRules(**rules))
 
 
+def off_px(found, centres):
+    """Errors [px] of the centres found: the largest mean of a coordinate, and the rms."""
+    off = (found.centres_px - centres)[found.known]
+    return np.abs(off.mean(axis=0)).max(), np.sqrt(np.mean(off**2))
+
+
 @pytest.mark.parametrize(
-    ("shape", "angle_deg"),
-    [(disc, 37.0), *((corner, angle_deg) for angle_deg in (0.0, 37.0, 90.0, 180.0))],
-)  # along edges of the L, or oblique
-def test_the_centre_of_the_area_is_found_whichever_way_it_moves(shape, angle_deg) -> None:
-    events, times_s, centres, spread = recorded(shape, angle_deg)
+    ("shape", "angle_deg", "luminance", "within_px"),
+    [
+        (disc, 37.0, DARK, 0.2),
+        # Along edges of the L, or oblique.
+        *((corner, angle_deg, DARK, 0.2) for angle_deg in (0.0, 37.0, 90.0, 180.0)),
+        (corner, 37.0, BRIGHT, 0.3),
+    ],
+)
+def test_the_centre_of_the_area_is_found_whichever_way_it_moves(
+    shape, angle_deg, luminance, within_px
+) -> None:
+    events, times_s, centres, spread = recorded(shape, angle_deg, luminance)
     # The track holds the mean of the events, which is not the centre of the area.
-    track = centres + np.array([0.8, -0.6])
-    found = found_of(events, times_s, track, spread)
+    found = found_of(events, times_s, centres + np.array([0.8, -0.6]), spread)
     known = found.known
     # Early images are unknown: their boxes hold pixels that have not been seen bare.
     assert known[len(known) // 2 :].mean() > 0.9
-    off = (found.centres_px - centres)[known]
     # The covered share of a level assumes a middling contrast, not this one: an edge is off by
     # 0.2 px at most, and opposite edges are off the more alike the longer they are.
-    assert np.abs(off.mean(axis=0)).max() < 0.2
-    assert np.sqrt(np.mean(off**2)) < 0.2
+    assert max(off_px(found, centres)) < within_px
     told = found.spreads_px2[known].mean(axis=0)
     # The blur of an edge by a pixel widens the image; its faint half, without events, narrows it.
     scale = np.trace(spread)
     assert told == pytest.approx([spread[0, 0], spread[0, 1], spread[1, 1]], abs=0.08 * scale)
 
 
-def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
-    events, times_s, centres, spread = recorded(corner, 37.0, object_luminance=0.95)
-    found = found_of(events, times_s, centres, spread)
-    # The contrast is three and a half thresholds, so that levels are coarser.
-    assert np.abs((found.centres_px - centres)[found.known].mean(axis=0)).max() < 0.3
-
-
-@pytest.mark.parametrize("luminance", [DARK, 0.95])
+@pytest.mark.parametrize("luminance", [DARK, BRIGHT])
 def test_what_a_large_object_covers_at_first_is_told_by_what_comes_later(luminance) -> None:
     # It moves by 60 px, and its box reaches over 30 px each way: most pixels never leave the box.
     events, times_s, centres, spread = recorded(corner, 37.0, luminance, length_px=60.0)
     assert found_of(events, times_s, centres, spread) is None
     found = found_of(events, times_s, centres, spread, large_px=5.0)
     assert found.known.mean() > 0.95
-    off = (found.centres_px - centres)[found.known]
-    # A bright object's contrast is three and a half thresholds: levels are coarser.
-    assert np.abs(off.mean(axis=0)).max() < 0.3
-    assert np.sqrt(np.mean(off**2)) < 0.4  # pixels never uncovered, whose level is unsure, are few
-
-
-def test_a_large_object_both_darker_and_lighter_than_its_background_has_none() -> None:
-    events, times_s, centres, spread = recorded(corner, 37.0, length_px=60.0)
+    # Pixels that are never uncovered, whose level is unsure, are few.
+    assert np.all(np.less(off_px(found, centres), [0.3, 0.4]))
+    # Each half of the object has a contrast of its own: it is both darker and lighter.
     left = events["x"] < MIDDLE[0]
-    events = events_from_arrays(events["t"], events["x"], events["y"], events["p"] ^ left)
-    assert found_of(events, times_s, centres, spread, large_px=5.0) is None
+    mixed = events_from_arrays(events["t"], events["x"], events["y"], events["p"] ^ left)
+    assert found_of(mixed, times_s, centres, spread, large_px=5.0) is None
 
 
-def test_an_image_too_small_has_no_silhouette() -> None:
-    events, times_s, centres, _ = recorded(disc, 37.0)
+def test_images_too_small_and_events_that_do_not_come_back_tell_no_silhouette() -> None:
+    events, times_s, centres, spread = to_and_fro()
     small = np.diag([0.99 * SilhouetteRules.min_size_px, 0.0]) ** 2
+    assert found_of(events, times_s, centres, spread) is not None
     assert found_of(events, times_s, centres, small) is None
+    assert found_of(thinned(events, 0.5), times_s, centres, spread) is None
 
 
 @cache
@@ -207,20 +202,15 @@ def test_a_delayed_clock_shows_the_same_to_the_last_bit(share) -> None:
 )
 def test_levels_that_do_not_come_out_even_are_evened(spoilt) -> None:
     events, times_s, centres, spread = to_and_fro()
-    off_px, shares = [], []
-    for least in (SilhouetteRules.min_closed_share, 0.0):  # levels evened, and levels as counted
-        found = found_of(spoilt(events), times_s, centres, spread, min_closed_share=least)
-        off_px.append(np.sqrt(np.mean((found.centres_px - centres)[found.known] ** 2)))
-        shares.append(found.known.mean())
+    evened, counted = (
+        found_of(spoilt(events), times_s, centres, spread, min_closed_share=least)
+        for least in (SilhouetteRules.min_closed_share, 0.0)
+    )
     # A fraction of a pixel, of the object's 11: levels as counted leave a trail of pixels behind.
-    assert off_px[0] < 0.5
-    assert off_px[0] < 0.25 * off_px[1]
-    assert shares[0] > 0.8
-
-
-def test_events_that_do_not_come_back_tell_no_silhouette() -> None:
-    events, times_s, centres, spread = to_and_fro()
-    assert found_of(thinned(events, 0.5), times_s, centres, spread) is None
+    rms_px = off_px(evened, centres)[1]
+    assert rms_px < 0.5
+    assert rms_px < 0.25 * off_px(counted, centres)[1]
+    assert evened.known.mean() > 0.8
 
 
 # --- A body ---
@@ -272,10 +262,10 @@ def drawn(shape: str) -> tuple[list[Look], np.ndarray, list[np.ndarray]]:
 
 @cache
 def found(shape: str) -> list[np.ndarray]:
-    looks, moments, _ = drawn(shape)
+    looks, of_body, _ = drawn(shape)
     # A ball has many voxels: at 4/3 of the width there are 0.4 times as many.
     rules = RULES if shape == "body" else BodyRules(voxels_across=15.0)
-    return body_moves(looks, TIMES_S, moments, rules)
+    return body_moves(looks, TIMES_S, of_body, rules)
 
 
 def swayed_px(moves: list[np.ndarray]) -> float:
@@ -297,11 +287,11 @@ def test_a_ball_needs_no_correction() -> None:
 
 
 def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
-    looks, moments, _ = drawn("body")
+    looks, of_body, _ = drawn("body")
     G = Rotation.from_rotvec([0.4, -0.8, 0.3]).as_matrix()
     order = [2, 0, 3, 1]
     moved = [replace(looks[k], R=looks[k].R @ G.T) for k in order]
-    moves = body_moves(moved, TIMES_S, G @ moments @ G.T, RULES)
+    moves = body_moves(moved, TIMES_S, G @ of_body @ G.T, RULES)
     for k, move in zip(order, moves, strict=True):
         # Sums are taken in another order, and axes may be reversed: the voxels then differ.
         assert np.nanmax(np.abs(move - found("body")[k])) < 0.05
@@ -309,20 +299,20 @@ def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
 
 @pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 3)])
 def test_last_digits_decide_nothing_of_the_moments_of_two_views(pair: tuple[int, int]) -> None:
-    looks, moments, _ = drawn("body")
+    looks, true, _ = drawn("body")
 
     def found(off: float) -> np.ndarray:
         rng, other = np.random.default_rng(5), np.random.default_rng(6)
         views = []
         for k in pair:
             R, focal_px, points = looks[k].R, looks[k].focal_px, looks[k].points
-            by_place = image_by_place(R, focal_px, points)
-            spreads = (by_place @ moments @ by_place.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
+            by_place = moments.image_by_place(R, focal_px, points)
+            spreads = (by_place @ true @ by_place.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
             # Noise leaves some moments without depth; there a square root turns 1e-16 into 1e-8.
             spreads = spreads + 0.6 * spreads.mean() * rng.standard_normal(spreads.shape)
             spreads *= 1.0 + off * other.standard_normal(spreads.shape)
-            views.append(View(R, focal_px, points, spreads))
-        return moments_of_two(views, 2.0, 1, RULES)
+            views.append(moments.View(R, focal_px, points, spreads))
+        return moments.moments_of_two(views, 2.0, 1, RULES)
 
     # Without the rounding in `moments_of_two`, this is 6e-9 of the largest moment.
     exact = found(0.0)
@@ -330,9 +320,9 @@ def test_last_digits_decide_nothing_of_the_moments_of_two_views(pair: tuple[int,
 
 
 def test_too_few_moments_are_refused() -> None:
-    looks, moments, _ = drawn("body")
+    looks, of_body, _ = drawn("body")
     for n in (0, 20):
-        known = np.where(np.arange(len(moments))[:, None, None] < n, moments, np.nan)
+        known = np.where(np.arange(len(of_body))[:, None, None] < n, of_body, np.nan)
         assert body_moves(looks, TIMES_S, known, RULES) is None
 
 
@@ -345,7 +335,7 @@ def plate() -> np.ndarray:
     return np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
 
 
-def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[View, np.ndarray]:
+def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[moments.View, np.ndarray]:
     """A camera's view of the turning plate, and true centres of area less images of its middle."""
     R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
     t = np.array([0.4, -0.3, DISTANCE_M])
@@ -357,7 +347,8 @@ def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[View, np.nd
     off = images - centres[:, None]
     spreads = np.einsum("np,npi,npj->nij", weights, off, off)[:, [0, 0, 1], [0, 1, 1]]
     points = np.tile(t, (N_TURNS, 1))
-    return View(R, np.full(2, FOCAL_PX), points, spreads), centres - FOCAL_PX * t[:2] / t[2]
+    view = moments.View(R, np.full(2, FOCAL_PX), points, spreads)
+    return view, centres - FOCAL_PX * t[:2] / t[2]
 
 
 @pytest.mark.parametrize("size", [1.0, 0.3, 0.1])
@@ -368,15 +359,15 @@ def test_moments_and_shifts_are_those_of_a_plate(size: float) -> None:
     turns = Rotation.from_euler("xyz", attitudes_deg, degrees=True)
     told = [seen_by(angle_deg, turns, size) for angle_deg in ANGLES_DEG]
     views = [view for view, _ in told]
-    moments = second_moments(views, 1.0)
-    assert np.isnan(second_moments(views[:2], 1.0)).all()  # both measure one moment in common
+    told_m2 = moments.second_moments(views, 1.0)
+    assert np.isnan(moments.second_moments(views[:2], 1.0)).all()  # they share one measured moment
     if size == 0.1:
         # Perspective adds an error of size over distance, 1 %; smoothing adds one at the ends.
         flat, axes = 0.01 * np.cov(plate().T, bias=True), turns.as_matrix()
         true = axes @ flat @ axes.transpose(0, 2, 1)
-        assert moments[2:-2] == pytest.approx(true[2:-2], abs=0.03 * np.trace(flat))
+        assert told_m2[2:-2] == pytest.approx(true[2:-2], abs=0.03 * np.trace(flat))
     largest = max(np.abs(true).max() for _, true in told)
     for view, true in told:
         # The next order in size over distance is left: some 5 % of the largest shift.
-        found = perspective_shifts(view, moments, BodyRules.depth_power)
+        found = moments.perspective_shifts(view, told_m2, BodyRules.depth_power)
         assert found[2:-2] == pytest.approx(true[2:-2], abs=0.1 * largest)
