@@ -11,9 +11,9 @@ from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, linearise,
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods import clocks
 from ssac.methods.clocks import clock_model
-from ssac.methods.joint import refine, sharp_pairs
+from ssac.methods.joint import refine
 from ssac.methods.refinement import smooth_errors
-from ssac.rules import FitRules, JointRules
+from ssac.rules import ClockRules, FitRules, JointRules
 from ssac.track.motion import SharpTrack, Track
 from tests.ssac.box import errors
 from tests.ssac.methods.flights import T_D_S
@@ -302,63 +302,44 @@ def test_a_rougher_clock_follows_better_what_frames_of_a_varying_rate_show():
 
 
 @pytest.mark.parametrize(("known", "name"), [(False, "algorithm_2"), (True, "algorithm_1")])
-def test_far_skews_are_searched_for_and_near_ones_are_not(known, name, monkeypatch):
-    tried_ppm, refused = [], Estimate("ssac", "no_match")
+def test_far_skews_are_searched_for_with_their_clocks_and_near_ones_are_not(
+    known, name, monkeypatch
+):
+    """An offset holds at t_ref, which moves with the common time at the offset found."""
+    tried, refused = [], Estimate("ssac", "no_match")
 
     def search(views):
-        tried_ppm.append(views.clock.skew_ppm)
+        tried.append(replace(views.clock, t_d_s=8.0))
         d_avg_px = abs(views.clock.skew_ppm - 2900.0)
-        return replace(START, d_avg_px=d_avg_px) if d_avg_px < 2000.0 else refused
+        return replace(START, t_d_s=8.0, d_avg_px=d_avg_px) if d_avg_px < 2000.0 else refused
 
     monkeypatch.setattr(clocks, name, search)
     for prior_ppm in (0.0, 50.0):  # three deviations of 50 ppm are 3 ms at the ends of 40 s
         views = views_of(known=known, skew_prior_ppm=prior_ppm)
         assert clocks.with_coarse_skew(refused, views) is refused
-    assert not tried_ppm
+    assert not tried
     views = views_of(known=known, skew_prior_ppm=1000.0)
     found = clocks.with_coarse_skew(refused, views)
-    assert max(tried_ppm) >= 3000.0
-    assert 0.0 not in tried_ppm  # a skew of 0 is the start's
-    steps_ppm = np.diff(sorted([*tried_ppm, 0.0]))
+    skews_ppm = sorted([0.0, *(clock.skew_ppm for clock in tried)])
+    assert skews_ppm[-1] >= 3000.0
+    assert skews_ppm.count(0.0) == 1  # a skew of 0 is the start's
     # Half a step is 20 ms at the ends; 5 % are for a common time that is estimated, not exact.
-    assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= 0.020 * 1.05
-    assert found.skew_ppm == min(tried_ppm, key=lambda ppm: abs(ppm - 2900.0))
-    assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=0.1)
+    assert 0.5 * np.diff(skews_ppm).max() * 1e-6 * 20.0 <= 0.020 * 1.05
+    best = min(tried, key=lambda clock: abs(clock.skew_ppm - 2900.0))
+    assert best.t_ref_s == pytest.approx(MIDDLE_S, abs=0.1)
+    assert (found.skew_ppm, found.t_ref_s) == (best.skew_ppm, pytest.approx(16.0, abs=0.1))
+    expected_s = best.cam2_from_cam1(TIMES_S)
+    # The tolerance is rounding.
+    np.testing.assert_allclose(found.clock.cam2_from_cam1(TIMES_S), expected_s, atol=1e-12)
     fits = replace(START, d_avg_px=1.0)  # better than with any other skew
     assert clocks.with_coarse_skew(fits, views) is fits
 
 
-def test_a_skew_that_is_searched_for_keeps_its_clock(monkeypatch):
-    """An offset holds at t_ref, which moves with the common time at the offset found."""
-    shown = []
-
-    def search(views):
-        shown.append(replace(views.clock, t_d_s=8.0))
-        return replace(START, t_d_s=8.0, d_avg_px=abs(views.clock.skew_ppm - 1500.0))
-
-    monkeypatch.setattr(clocks, "algorithm_2", search)
-    views = views_of(skew_prior_ppm=1000.0)
-    found = clocks.with_coarse_skew(Estimate("ssac", "no_match"), views)
-    (clock,) = [one for one in shown if one.skew_ppm == found.skew_ppm]
-    assert abs(found.t_ref_s - clock.t_ref_s) > 3.0  # half of the 8 s that are not common
-    expected_s = clock.cam2_from_cam1(TIMES_S)
-    # The tolerance is rounding.
-    np.testing.assert_allclose(found.clock.cam2_from_cam1(TIMES_S), expected_s, atol=1e-12)
-
-
-@pytest.mark.parametrize(("skew_ppm", "status"), [(50.0, "ok"), (200.0, "clock_jump")])
-def test_a_skew_far_from_its_prior_speaks_for_a_jump(skew_ppm, status):
-    """A step of few deviations is a jump only if it bends the skew far from its 50 ppm prior."""
-    views = views_of(jump=(18.0, 0.003))
-    parameters = Parameters(START.t_d_s, START.R, START.t, np.zeros(1))
-    model = clock_model(views, START)
-    times_s = views.sample_times(np.array([START.t_d_s]))[0]
-    pairs, _ = sharp_pairs(views, times_s, START.t_d_s)
-    plain = Problem(pairs, views.rig, views.rules.fit)
-    problem = model.problem(plain, parameters, views)
-    last = linearise(problem, model.solve(problem, parameters).parameters)
-    jump = clocks.checked_clock(START, model, last).jump
+@pytest.mark.parametrize(("prior_ppm", "status"), [(100.0, "ok"), (25.0, "clock_jump")])
+def test_a_skew_far_from_its_prior_speaks_for_a_jump(prior_ppm, status):
+    """A step of few deviations is a jump only if it bends the skew far from its prior."""
+    views = views_of(jump=(18.0, 0.003), skew_prior_ppm=prior_ppm)  # which bends it by 140 ppm
+    jump = refine(START, views.by(clock=ClockRules(jump_sigmas=1.0, fewer_sigmas=1.0))).jump
     sigmas = jump.size_s / jump.size_std_s
-    rules = replace(model.rules, jump_sigmas=1.1 * sigmas, fewer_sigmas=0.5 * sigmas)
-    skewed = replace(START, skew_ppm=skew_ppm)
-    assert clocks.checked_clock(skewed, replace(model, rules=rules), last).status == status
+    rules = ClockRules(jump_sigmas=1.1 * sigmas, fewer_sigmas=0.5 * sigmas)
+    assert refine(START, views.by(clock=rules)).status == status
