@@ -7,19 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac import (
-    Camera,
-    Chain,
-    Config,
-    Estimate,
-    Observation,
-    PointTrack,
-    Rig,
-    Status,
-    TwoViews,
-    joint_known,
-    two_views,
-)
+from ssac import Camera, Chain, Config, Estimate, Observation, PointTrack, Rig, TwoViews, two_views
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import moved_pose, pencils
 from ssac.methods import joint, rigid_body, tangency
@@ -98,14 +86,15 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
     scene = synthetic.make_scene(1, duration_s=8.0)
-    cameras = box.box_events(scene, 1, size_m, lopsided=3.0)
+    cameras = [*map(Observation, box.box_events(scene, 1, size_m, lopsided=3.0))]
+    chain = Chain(cameras, scene.rig, CLEAN)
     # Only `joint` decides whether such biased means can be a start, so the start is given.
-    found = refine_tangents(box.off_the_truth(scene), two_views(*cameras, scene.rig, CLEAN))
+    found = refine_tangents(box.off_the_truth(scene), chain.views())
     assert found.status == "ok"
     # 8 s of events and only eight corners leave few tangents: three times the tables' goals.
     assert np.all(box.errors(found, scene) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
-        mean_ms = 1e3 * abs(joint_known(*cameras, scene.rig, CLEAN).t_d_s - T_D_S)
+        mean_ms = 1e3 * abs(chain.estimate("joint-known").t_d_s - T_D_S)
         assert mean_ms > 3.0 * box.errors(found, scene)[0]
 
 
@@ -151,9 +140,19 @@ def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
         assert words in found.reason
 
 
+@cache
+def by_means() -> Estimate:
+    return joint_from(algorithm_2(VIEWS), VIEWS)
+
+
+def by_rules(start: Estimate, **rules) -> Estimate:
+    rules = {"joins_body": False} | rules
+    return tangency_from(start, VIEWS.by(tangency=TangencyRules(**rules)))
+
+
 def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
     is_open = {"status": "degenerate_pose", "reason": "too large", "R": None, "t": None}
-    refused = replace(joint_from(algorithm_2(VIEWS), VIEWS), **is_open)
+    refused = replace(by_means(), **is_open)
     estimate = tangency_from(refused, VIEWS)
     assert (estimate.method, estimate.status) == ("tangency", "ok")
     alone = tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
@@ -179,29 +178,22 @@ def test_no_start_is_refined_twice_where_both_methods_refuse(monkeypatch):
 
 
 def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_start():
-    by_means = joint_from(algorithm_2(VIEWS), VIEWS)
-    sure = replace(by_means, t_d_s=by_means.t_d_s + 0.01, t_d_std_s=1e-4)
-    deviations_s = []
-    for few_seen in (0.0, 0.1, 2.0):  # least shares: the tangents seen are few only by the last
-        rules = TangencyRules(joins_body=False, few_seen=few_seen, seen_times=(1.0, 1.0))
-        found = tangency_from(sure, VIEWS.by(tangency=rules))
-        assert found.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
-        deviations_s.append(found.t_d_std_s)
-    assert deviations_s[0] == deviations_s[1] < 1e-3
-    half_s = 0.5 * (sure.t_d_s - found.t_d_s)
-    assert deviations_s[2] == pytest.approx(np.hypot(deviations_s[0], half_s))
+    sure = replace(by_means(), t_d_s=by_means().t_d_s + 0.01, t_d_std_s=1e-4)
+    none, some, few = (  # least shares: the tangents seen are few only by the last
+        by_rules(sure, few_seen=share, seen_times=(1.0, 1.0)) for share in (0.0, 0.1, 2.0)
+    )
+    assert few.t_d_s == pytest.approx(T_D_S, abs=1e-3)  # the error of tangents alone
+    assert none.t_d_s == some.t_d_s == few.t_d_s
+    assert none.t_d_std_s == some.t_d_std_s < 1e-3
+    half_s = 0.5 * (sure.t_d_s - few.t_d_s)
+    assert few.t_d_std_s == pytest.approx(np.hypot(none.t_d_std_s, half_s))
 
 
 def test_the_more_tangents_are_seen_the_surer_they_are():
-    start = joint_from(algorithm_2(VIEWS), VIEWS)
-
-    def seen_by(seen_shares, seen_times) -> Estimate:
-        shares = {"few_seen": 0.0, "seen_shares": seen_shares, "seen_times": seen_times}
-        return tangency_from(start, VIEWS.by(tangency=TangencyRules(joins_body=False, **shares)))
-
-    alone = seen_by((0.0, 1.0), (1.0, 1.0))
-    surer = seen_by((0.0, 1e-3), (1.0, 0.5))  # more are seen than that
-    between = seen_by((0.0, 2.0), (1.0, 0.5))
+    alone, surer, between = (
+        by_rules(by_means(), few_seen=0.0, seen_shares=(0.0, all_seen), seen_times=(1.0, times))
+        for all_seen, times in ((1.0, 1.0), (1e-3, 0.5), (2.0, 0.5))  # more are seen than 1e-3
+    )
     np.testing.assert_allclose(surer.covariance, 0.25 * alone.covariance)
     np.testing.assert_allclose(surer.clock_covariance, 0.25 * alone.clock_covariance)
     assert surer.t_d_std_s < between.t_d_std_s < alone.t_d_std_s
@@ -209,9 +201,8 @@ def test_the_more_tangents_are_seen_the_surer_they_are():
 
 
 def test_where_there_is_no_outline_the_start_is_the_answer_but_its_offset_less_sure():
-    start = joint_from(algorithm_2(VIEWS), VIEWS)
-    rules = TangencyRules(least_size_px=1e3, tiny_times=1.5)
-    tiny = tangency_from(start, VIEWS.by(tangency=rules))
+    start = by_means()
+    tiny = by_rules(start, joins_body=True, least_size_px=1e3, tiny_times=1.5)
     assert tiny.t_d_s == start.t_d_s
     assert tiny.t_d_std_s == pytest.approx(1.5 * start.t_d_std_s)
     np.testing.assert_array_equal(tiny.covariance[1:, 1:], start.covariance[1:, 1:])
@@ -277,7 +268,7 @@ def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
     scene = replace(synthetic.make_scene(0, duration_s=UNIFORM_S), path=path)
     streams = synthetic.make_events(scene, 0, T_D_S, rate_hz=50_000.0, size_m=SIZE_M)
     estimate = Chain([*map(Observation, streams)], scene.rig, NEAR).estimate(method)
-    assert estimate.status == Status.OK
+    assert estimate.status == "ok"
     # The speed [px/s] that converts a common shift of all points into t_d, by least squares.
     times_s = np.linspace(0.1, UNIFORM_S - 0.1, 200)
     F = fundamental_from_pose(synthetic.K, synthetic.K, scene.R, scene.t)
@@ -360,19 +351,24 @@ def shaped() -> list[ShapedTrack]:
     return found
 
 
-def body_views(cam2: Camera = CAMERA) -> TwoViews:
-    motions = [point_motion(one.track, CAMERA, PointRules()) for one in shaped()]
+def body_views(tracks: list[ShapedTrack], cam2: Camera = CAMERA) -> TwoViews:
+    motions = [point_motion(one.track, CAMERA, PointRules()) for one in tracks]
     return TwoViews(*motions, Rig(CAMERA, cam2), Config())
 
 
-def followed(found: Estimate, order: tuple[int, int] = (0, 1)):
-    shapes = [rigid_body._shape_of(shaped()[k], body_views(), k + 1) for k in order]
-    return rigid_body._followed(found, body_views(), tuple(shapes))
+def shapes_of(tracks: list[ShapedTrack]) -> tuple:
+    views = body_views(tracks)
+    return tuple(rigid_body._shape_of(one, views, k) for k, one in enumerate(tracks, 1))
+
+
+def followed(found: Estimate, tracks: list[ShapedTrack], order: tuple[int, int] = (0, 1)):
+    shapes = shapes_of(tracks)
+    return rigid_body._followed(found, body_views(tracks), tuple(shapes[k] for k in order))
 
 
 @cache
 def body():
-    return followed(OFF)
+    return followed(OFF, shaped())
 
 
 def distances_px(motions) -> np.ndarray:
@@ -387,7 +383,7 @@ def distances_px(motions) -> np.ndarray:
 
 def test_its_pairs_are_those_of_one_point():
     by_body = distances_px(body())
-    by_area = distances_px([rigid_body._shape_of(s, body_views(), 1).centres for s in shaped()])
+    by_area = distances_px([shape.centres for shape in shapes_of(shaped())])
     # Voxels are 0.9 px wide. The body's point is off by some 0.03 px, the centre of area by 0.1.
     assert np.sqrt(np.mean(by_body**2)) < 0.5 * np.sqrt(np.mean(by_area**2))
     assert np.sqrt(np.mean(by_body**2)) < 0.08
@@ -395,7 +391,7 @@ def test_its_pairs_are_those_of_one_point():
 
 def test_exchanged_cameras_show_the_same_point():
     swapped = replace(OFF, t_d_s=-OFF.t_d_s, R=OFF.R.T, t=-OFF.R.T @ OFF.t)
-    two, one = followed(swapped, (1, 0))
+    two, one = followed(swapped, shaped(), (1, 0))
     for before, after in zip(body(), (one, two), strict=True):
         both = np.intersect1d(before.times_s, after.times_s)
         places = [of.points_px[np.isin(of.times_s, both)] for of in (before, after)]
@@ -404,39 +400,37 @@ def test_exchanged_cameras_show_the_same_point():
         assert np.sqrt(np.mean((places[0] - places[1]) ** 2)) < 0.1
 
 
-def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch):
+def test_a_delay_of_camera_2_changes_nothing_but_the_offset():
     shift_us = 123_457
     later = [shaped()[0], shaped()[1].delayed(shift_us)]
-    before = body()
-    monkeypatch.setattr("tests.ssac.methods.test_tangency.shaped", lambda: later)
-    after = followed(replace(OFF, t_d_s=OFF.t_d_s + 1e-6 * shift_us))
-    for one, other in zip(before, after, strict=True):
+    after = followed(replace(OFF, t_d_s=OFF.t_d_s + 1e-6 * shift_us), later)
+    for one, other in zip(body(), after, strict=True):
         # The tolerance is the rounding of times, as the tracks are interpolated on another clock.
         # No comparison may turn out differently, which would change points by far more.
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
 
 
 def test_centres_of_area_are_searched_about_an_offset_or_where_the_views_are(monkeypatch):
-    views = body_views()
-    shapes = tuple(rigid_body._shape_of(shaped()[k], views, k + 1) for k in (0, 1))
+    views, shapes = body_views(shaped()), shapes_of(shaped())
     monkeypatch.setattr(rigid_body, "_shapes_of", lambda _: shapes)
     assert rigid_body.by_areas(views, 0.3).config.offsets_s == pytest.approx((-0.2, 0.8))
     assert rigid_body.by_areas(views, np.nan).config.offsets_s == views.config.offsets_s
 
 
-def test_it_says_why_there_is_no_body(monkeypatch):
-    assert rigid_body.body_points(OFF, body_views()) == ""  # tracks have no silhouettes
+def test_it_says_why_there_is_no_body():
+    views = body_views(shaped())
+    assert rigid_body.body_points(OFF, views) == ""  # tracks have no silhouettes
     bent = replace(CAMERA, distortion_model="radtan", distortion_coeffs=(0.1, 0.0, 0.0, 0.0))
-    assert "distorts" in rigid_body._shape_of(shaped()[1], body_views(cam2=bent), 2)
+    assert "distorts" in rigid_body._shape_of(shaped()[1], body_views(shaped(), bent), 2)
     unclosed = ShapedTrack(shaped()[0].track, None)
-    assert "does not close in camera 1" in rigid_body._shape_of(unclosed, body_views(), 1)
+    assert "does not close in camera 1" in rigid_body._shape_of(unclosed, views, 1)
     rng = np.random.default_rng(0)
     torn = [
         replace(one, images=one.images.of(rng.permutation(len(one.track.times_s))))
         for one in shaped()
     ]
-    monkeypatch.setattr("tests.ssac.methods.test_tangency.shaped", lambda: torn)
-    assert "no one rigid body is seen in both silhouettes: parts of it turn" in followed(OFF)
+    said = followed(OFF, torn)
+    assert "no one rigid body is seen in both silhouettes: parts of it turn" in said
 
 
 def with_point(monkeypatch, late_s: float, joins: bool = True) -> Estimate:
