@@ -45,13 +45,16 @@ def fixed(times_s):
 
 
 @pytest.mark.parametrize(
-    ("hz", "t_d_s", "rel"), [(0.25, 0.0, 0.05), (1.0, 0.0, 0.05), (1.0, 6.0, 0.1)]
+    ("hz", "t_d_s", "hidden_s", "rel"),
+    [(0.25, 0.0, 0.0, 0.05), (1.0, 0.0, 0.0, 0.05), (1.0, 6.0, 0.0, 0.1), (1.0, 0.0, 4.0, 0.1)],
 )
-def test_a_sine_swings_twice_a_period_where_both_cameras_see_it(hz, t_d_s, rel):
-    motion = motion_along(wave(hz), wave(hz, 1.0))
+def test_a_sine_swings_twice_a_period_while_both_cameras_see_it(hz, t_d_s, hidden_s, rel):
+    events = events_along(wave(hz), wave(hz, 1.0))
+    motion = object_motion(events[abs(1e-6 * events["t"] - 4.0) >= 0.5 * hidden_s], CAMERA)
     views = TwoViews(motion, motion, SCENE.rig, Config())
-    # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
-    expected = 2 * hz * (8.0 - t_d_s)
+    # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it. Half
+    # a second out of view is taken for seen.
+    expected = 2 * hz * (8.0 - t_d_s - max(hidden_s - 0.5, 0.0))
     assert views.swings(views.pairs_at(t_d_s)) == pytest.approx(expected, rel=rel)
     refusal = offset_search.too_little_motion(3.49, MIN_SWINGS)
     assert refusal is not None
