@@ -379,15 +379,25 @@ def off_m(flight, answer) -> float:
     return float(np.sqrt(np.mean(np.sum((path.positions_m - true) ** 2, axis=1))))
 
 
-def write_positions(file, positions) -> None:
+def by_positions(folder, answer, positions, rules=GROUND) -> Ground:
     rows = [f"{k + 1},{x},{y},{z}" for k, (x, y, z) in enumerate(positions)]
-    file.write_text("\n".join(["camera,x_m,y_m,z_m", *rows]) + "\n")
+    (folder / "positions.csv").write_text("\n".join(["camera,x_m,y_m,z_m", *rows]) + "\n")
+    return ground_of_positions(answer, folder / "positions.csv", rules)
+
+
+def by_rtk(folder, answer, path, rules=GROUND, arm_m=None) -> Ground:
+    write_path(folder / "rtk.tum", path)
+    return ground_of_rtk(answer, folder / "rtk.tum", rules, FIT, arm_m)
+
+
+def result_of(answer, ground=None) -> NetworkResult:
+    names = tuple(camera.name for camera in answer.cameras)
+    return NetworkResult(names, "", answer, {}, ground is not None, ground, {})
 
 
 def test_positions_give_metres_and_the_frame(solved, tmp_path):
     flight, answer = solved
-    write_positions(tmp_path / "positions.csv", centres_m(flight))
-    ground = ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
+    ground = by_positions(tmp_path, answer, centres_m(flight))
     found = in_frame(answer, ground)
     assert off_m(flight, found) < 0.05  # 9 mm of pixel noise, and errors of the cameras
     for camera, true in zip(found.cameras, centres_m(flight), strict=True):
@@ -404,18 +414,14 @@ def test_positions_give_metres_and_the_frame(solved, tmp_path):
 def test_deviations_hold_in_a_known_frame(solved, tmp_path):
     # Errors of stated places and of RTK, here far larger than the network's own, turn and move all.
     (flight, answer), rng = solved, np.random.default_rng(0)
-    stated, rtk = tmp_path / "positions.csv", tmp_path / "rtk.tum"
     path_m = TO_GROUND.apply(flight.path(TIMES_S))
     found = list[np.ndarray]()
     for _ in range(40):
-        write_positions(stated, centres_m(flight) + rng.normal(scale=0.2, size=(4, 3)))
+        stated_m = centres_m(flight) + rng.normal(scale=0.2, size=(4, 3))
         white_m = rng.normal(scale=0.15, size=path_m.shape)
         drift_m = lfilter([1.0], [1.0, -0.7], white_m, axis=0)  # which fades within 0.6 s
-        write_path(rtk, Path(TIMES_S, path_m + drift_m))
-        grounds = (
-            ground_of_positions(answer, stated, GROUND),
-            ground_of_rtk(answer, rtk, GROUND, FIT),
-        )
+        by_path = by_rtk(tmp_path, answer, Path(TIMES_S, path_m + drift_m))
+        grounds = by_positions(tmp_path, answer, stated_m), by_path
         found += [np.stack([scores(flight, in_frame(answer, one)) for one in grounds])]
     # Chance: 40 draws of about four independent errors leave 1 +- 0.06; Student's law, less.
     rms = np.sqrt(np.mean(np.square(found), axis=0))
@@ -455,30 +461,27 @@ def scores(flight, answer) -> np.ndarray:
 
 def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solved, tmp_path):
     flight, answer = solved
-    rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
+    arm_m = (0.3, -0.2, 0.5)
     # The body turns, so that the alignment cannot absorb the arm.
     yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
     turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
     antenna_m = TO_GROUND.apply(flight.path(TIMES_S)) + turns.apply(arm_m)
-    write_path(rtk, Path(TIMES_S + 77.7, antenna_m, quaternions=turns.as_quat()))
-    ground = ground_of_rtk(answer, rtk, GROUND, FIT, arm_m)
+    rtk = Path(TIMES_S + 77.7, antenna_m, quaternions=turns.as_quat())
+    ground = by_rtk(tmp_path, answer, rtk, arm_m=arm_m)
     shown_s = float(ground.said.partition("its clock shows ")[2].split()[0])
     assert shown_s == pytest.approx(77.7, abs=0.01)  # 5 cm at some 5 m/s
     assert off_m(flight, in_frame(answer, ground)) < 0.05  # as with positions
-    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND, FIT))) > 0.1
-    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
+    assert off_m(flight, in_frame(answer, by_rtk(tmp_path, answer, rtk))) > 0.1
     with pytest.raises(SsacError, match="lever arm turns with the body"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, FIT, arm_m)
+        by_rtk(tmp_path, answer, replace(rtk, quaternions=None), arm_m=arm_m)
 
 
 def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp_path):
     flight, log = make_flight(5), []
     alone = {pair: flight.links()[pair] for pair in ((0, 1), (0, 2), (1, 2), (3, 4))}
     answer = solve_network(flight.seen, alone, 50.0, 1.0, RULES)
-    write_positions(tmp_path / "positions.csv", centres_m(flight)[:3])
-    ground = ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
-    names = tuple(camera.name for camera in answer.cameras)
-    result = NetworkResult(names, "", in_frame(answer, ground), {}, True, ground, {})
+    ground = by_positions(tmp_path, answer, centres_m(flight)[:3])
+    result = result_of(in_frame(answer, ground), ground)
     metres, unknown = "in metres", "in distances of the first two cameras placed"
     paths = [value for name, value in result.rows() if name.startswith("path ")]
     assert [value.partition("), ")[2] for value in paths] == [metres, unknown]
@@ -495,12 +498,10 @@ def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp
 
 def test_a_camera_has_no_place_in_its_own_frame_whatever_rounding_leaves(solved):
     _, answer = solved
-    names = tuple(camera.name for camera in answer.cameras)
     for left in (0.0, -1.2e-17):
         first = replace(answer.cameras[0], t=np.full(3, left))
-        cameras = replace(answer, cameras=[first, *answer.cameras[1:]])
-        said = NetworkResult(names, "", cameras, {}, False, None, {}).summary()
-        assert said.count("turned by ") == len(names) - 1
+        said = result_of(replace(answer, cameras=[first, *answer.cameras[1:]])).summary()
+        assert said.count("turned by ") == len(answer.cameras) - 1
 
 
 def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_path(tmp_path):
@@ -508,9 +509,7 @@ def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_p
     answer = make_flight(3).solved(rules=replace(RULES, network=network))
     reasons, log = {camera.reason for camera in answer.cameras}, list[str]()
     assert [one.rpartition(", on rays ")[2] for one in reasons] == ["at least 80 deg apart"]
-    names = tuple(camera.name for camera in answer.cameras)
-    result = NetworkResult(names, "", answer, {}, False, None, {})
-    write_many(result, tmp_path / "path.csv", None, log.append)
+    write_many(result_of(answer), tmp_path / "path.csv", None, log.append)
     assert log == [f"not written: {tmp_path / 'path.csv'}, since {reasons.pop()}"]
 
 
@@ -526,16 +525,14 @@ def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
         (beside_a_line, GROUND, "nearly on a line, 0.5. m off it rms over 14 m"),
         (np.outer(np.arange(4.0), [1.0, 2.0, 0.0]), exact, "nearly on a line, "),
     ):
-        write_positions(tmp_path / "positions.csv", positions)
         with pytest.raises(SsacError, match=message):
-            ground_of_positions(answer, tmp_path / "positions.csv", rules)
+            by_positions(tmp_path, answer, positions, rules)
     other = np.random.default_rng(0).normal(size=(len(TIMES_S), 3))
     strict = GroundRules(least_explained=1.1)
     for path_m, rules, message in (
         (other, GROUND, "flight"),
-        (np.zeros((20, 3)), GROUND, "rtk.csv, taken for the truth: the truth stands still"),
+        (np.zeros((20, 3)), GROUND, "rtk.tum, taken for the truth: the truth stands still"),
         (flight.path(TIMES_S), strict, "explains 100 % of its motion only"),
     ):
-        write_path(tmp_path / "rtk.csv", Path(TIMES_S[: len(path_m)], path_m))
         with pytest.raises(SsacError, match=message):
-            ground_of_rtk(answer, tmp_path / "rtk.csv", rules, FIT)
+            by_rtk(tmp_path, answer, Path(TIMES_S[: len(path_m)], path_m), rules)
