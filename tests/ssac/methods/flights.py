@@ -1,7 +1,7 @@
 """Flights that leave offset or pose open, seen by two cameras 90 degrees apart."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def seen(scene, seed=0, t_d_s=T_D_S):
 @cache
 def flown(path):
     """Return the chain of a path's recording; the methods share its cached stages."""
-    scene = scene_of(path)
+    scene = scene_of(PATHS.get(path, path))
     return Chain(seen(scene), scene.rig)
 
 
@@ -35,45 +35,21 @@ def found(path, method, **fields):
     return flown(path).under(replace(CLEAN, **fields)).estimate(method)
 
 
-def free(times_s):
-    return make_scene(0, duration_s=DURATION_S).path(times_s)
-
-
-def at_rest(times_s):
-    return np.broadcast_to(MIDDLE, (*times_s.shape, 3))
+def on_a_line(along_m):
+    return MIDDLE + along_m[..., None] * AXES[0]
 
 
 def straight(times_s):
     """Go to and fro along a line without repeating."""
     flight = make_scene(3, duration_s=DURATION_S).path
-    return MIDDLE + 0.75 * (flight(times_s)[..., :1] - MIDDLE[0]) * AXES[0]
+    return on_a_line(0.75 * (flight(times_s)[..., 0] - MIDDLE[0]))
 
 
-def straight_uniform(times_s):
-    return MIDDLE + 0.4 * (times_s - DURATION_S / 2)[..., None] * AXES[0]
-
-
-def straight_brisk(times_s):
-    """Go to and fro along a line several times a second."""
-    along = np.sin(13.0 * times_s) + 0.5 * np.sin(21.0 * times_s + 1.0)
-    return MIDDLE + 0.5 * along[..., None] * AXES[0]
-
-
-def circle(times_s, rise_m_s=0.0):
+def circle(times_s, axes=AXES, rise_m_s=0.0):
     turn = 2.0 * np.pi * times_s[..., None] / 2.7
     height = rise_m_s * (times_s[..., None] - DURATION_S / 2)
-    around = np.cos(turn) * AXES[0] + np.sin(turn) * AXES[1]
-    return MIDDLE + 1.2 * around + height * AXES[2]
-
-
-def helix(times_s):
-    return circle(times_s, rise_m_s=0.25)
-
-
-def edge_on(times_s):
-    """Circle in the plane in which both cameras lie, so that both see a line."""
-    turn = 2.0 * np.pi * times_s / 2.7
-    return MIDDLE + 1.2 * np.stack([np.cos(turn), 0.0 * turn, np.sin(turn)], axis=-1)
+    around = np.cos(turn) * axes[0] + np.sin(turn) * axes[1]
+    return MIDDLE + 1.2 * around + height * axes[2]
 
 
 def planar(times_s):
@@ -89,3 +65,19 @@ def periodic(times_s):
         + (0.8 * np.sin(turn) + 0.3 * np.cos(3 * turn)) * AXES[1]
         + 0.7 * np.cos(2 * turn + 1.0) * AXES[2]
     )
+
+
+PATHS = {
+    "free": make_scene(0, duration_s=DURATION_S).path,
+    "at rest": lambda times_s: np.broadcast_to(MIDDLE, (*times_s.shape, 3)),
+    "straight": straight,
+    "uniform": lambda times_s: on_a_line(0.4 * (times_s - DURATION_S / 2)),
+    # To and fro along a line several times a second.
+    "brisk": lambda t_s: on_a_line(0.5 * np.sin(13.0 * t_s) + 0.25 * np.sin(21.0 * t_s + 1.0)),
+    "circle": circle,
+    "helix": partial(circle, rise_m_s=0.25),
+    # In the plane in which both cameras lie, so that both see a line.
+    "edge on": partial(circle, axes=np.eye(3)[[0, 2, 1]]),
+    "planar": planar,
+    "periodic": periodic,
+}

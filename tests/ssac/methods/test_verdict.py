@@ -121,7 +121,7 @@ def test_an_offset_must_fit_twice_as_well_as_any_other(path, method, status):
 @pytest.mark.parametrize(("std_s", "status"), [(0.001, Status.DEGENERATE_POSE), (0.005, Status.OK)])
 def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
     off = {"t_d_s": T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5 of them or 1
-    chain = flights.flown(flights.free).under(CLEAN)
+    chain = flights.flown("free").under(CLEAN)
     start = replace(chain.estimate("joint"), status=Status.DEGENERATE_POSE, reason="open", **off)
     assert tangency_from(start, chain.views()).status == status
 
