@@ -20,9 +20,7 @@ from ssac.fit.least_squares import (
     solve,
 )
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
-from ssac.methods.clocks import ClockModel, _modes
-from ssac.rules import ClockRules, FitRules
-from ssac.search.two_views import Shutters
+from ssac.rules import FitRules
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
@@ -282,26 +280,3 @@ def test_exact_intrinsics_are_questioned_unless_the_cameras_face_each_other():
     assert intrinsics.questioned(facing) is facing
     good = fitted(problem_of(rig_of(0.001, 0.3), 0.1))
     assert intrinsics.questioned(good) is good
-
-
-def test_what_a_clock_strays_unseen_makes_no_prior_heavy():
-    """The data leave strays within a gap open; each mode spans all times, also those of the gap."""
-    pairs, kept = pairs_of(TIMES_S, 0.3, 0), np.abs(SINCE_S) >= 0.2 * np.ptp(TIMES_S)
-    arrays = pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.v2_px_s, pairs.weights
-    pairs = WeighedPairs(*(values[kept] for values in arrays), pairs.t_d_s)
-    problem = Problem(pairs, rig_of(0.0, 0.0), FitRules())
-    knots_s = np.linspace(TIMES_S[0], TIMES_S[-1], 41)
-    modes, deviations_s = _modes(knots_s, 2000.0)
-    middle_s, half_s = float(np.mean(TIMES_S)), 0.5 * float(np.ptp(TIMES_S))
-    shutters = Shutters((), *np.empty((3, 0)))
-    deviations = np.append(1e-3, deviations_s)
-    model = ClockModel(middle_s, half_s, deviations, ClockRules(), shutters, knots_s, modes)
-    start = replace(TRUTH, columns=np.zeros(len(model.deviations)))
-    problem = model.problem(problem, start, views=None)
-    first = solve(problem, start, max_steps=50).parameters
-    allowance = intrinsics.Allowance(problem.rig, has_priors=True)
-    allowance.learn(problem, first)
-    scales_px = np.array([prior.scale_px for prior in allowance.added(problem).priors])
-    # White noise: each residual is independent, so that a prior counts as one. The fit absorbs a
-    # tenth of the noise, and the correlations of the residuals are known to some 10 %.
-    assert scales_px == pytest.approx(np.full(len(scales_px), 0.3), rel=0.3)

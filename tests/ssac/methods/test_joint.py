@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from ssac import Clock, Config, Estimate, TwoViews
+from ssac.fit.intrinsics import Allowance
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, linearise, moved, solve
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods import clocks
 from ssac.methods.clocks import clock_model
-from ssac.methods.joint import refine
+from ssac.methods.joint import refine, sharp_pairs
 from ssac.methods.refinement import smooth_errors
 from ssac.rules import ClockRules, FitRules, JointRules
 from ssac.track.motion import SharpTrack, Track
@@ -288,6 +289,21 @@ def test_a_clock_of_pieces_follows_one_that_wanders():
     line = np.polynomial.Polynomial.fit(TIMES_S, wanders.added_s(TIMES_S), 1)
     strays_s = wanders.added_s(TIMES_S) - line(TIMES_S)
     assert np.std(clock_errors_of(found, wanders)) < 0.6 * np.std(strays_s)
+
+
+def test_what_a_clock_strays_unseen_makes_no_prior_heavy():
+    """The data leave strays within a gap open; each mode spans all times, also those of the gap."""
+    views = views_of(**PIECES, roughness_ppm=2000.0).by(clock=ClockRules(piece_s=1.0))
+    model, times_s = clock_model(views, START), np.linspace(0.1, 39.9, 400)
+    pairs, _ = sharp_pairs(views, times_s[np.abs(times_s - MIDDLE_S) >= 8.0], T_D_S)
+    start = Parameters(T_D_S, START.R, START.t, np.zeros(len(model.deviations)))
+    problem = model.problem(Problem(pairs, views.rig, FitRules()), start, views)
+    allowance = Allowance(problem.rig, has_priors=True)
+    allowance.learn(problem, solve(problem, start, max_steps=50).parameters)
+    scales_px = np.array([prior.scale_px for prior in allowance.added(problem).priors])
+    # White noise: each residual is independent, so that a prior counts as one. The fit absorbs a
+    # tenth of the noise, and the correlations of the residuals are known to some 10 %.
+    assert scales_px == pytest.approx(np.full(len(scales_px), 0.2), rel=0.3)
 
 
 def test_a_rougher_clock_follows_better_what_frames_of_a_varying_rate_show():
