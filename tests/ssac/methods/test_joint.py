@@ -1,6 +1,6 @@
 """The joint refinement, and the clock of camera 2, on tracks with white noise, not on events."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 
 import numpy as np
@@ -45,11 +45,8 @@ class WhiteMotion:
         return (self._true(times_s + 1e-4) - self._true(times_s - 1e-4)) / 2e-4
 
     def sharp_at(self, times_s):
-        track, velocities = self.at(times_s), self.velocities_at(times_s)
         sizes_px = np.full(times_s.shape, SIZE_PX)
-        return SharpTrack(
-            times_s, track.positions_px, track.counts, track.valid, velocities, sizes_px
-        )
+        return SharpTrack(*astuple(self.at(times_s)), self.velocities_at(times_s), sizes_px)
 
 
 def white_views(

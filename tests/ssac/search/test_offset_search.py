@@ -29,8 +29,8 @@ def views():
 
 
 def test_pairs_obey_the_sign_convention(views):
-    views = replace(views, config=Config(n_min=300))  # some windows hold fewer events
-    views = replace(views, motion1=replace(views.motion1, n_min=900))
+    few = replace(views.motion1, n_min=900)  # some windows hold fewer events
+    views = replace(views, config=Config(n_min=300), motion1=few)
     pairs, one = views.pairs(np.array([-0.1, T_D_S])), views.pairs_at(T_D_S)
     for m, t_d_s in enumerate((-0.1, T_D_S)):
         track1 = views.motion1.at(pairs.times_s[m])

@@ -135,9 +135,8 @@ def column_of_events(t_us, x, y):
     return events_from_arrays(t_us, x, y, np.zeros(len(t_us), int))
 
 
-def moving():
-    """Events of a point that moves by 1000 px/s; pixels round."""
-    return column_of_events(EVEN_US, x=100 + np.rint(1e-3 * EVEN_US), y=50)
+# Of a point that moves by 1000 px/s; pixels round.
+MOVING = column_of_events(EVEN_US, x=100 + np.rint(1e-3 * EVEN_US), y=50)
 
 
 @pytest.mark.parametrize("camera", [CAMERA, RADTAN], ids=["none", "radtan"])
@@ -237,7 +236,7 @@ def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
 
 
 def test_sharp_images_do_not_move():
-    track = object_motion(moving(), CAMERA).sharp_at(MIDDLE_S)
+    track = object_motion(MOVING, CAMERA).sharp_at(MIDDLE_S)
     # Pixels and cells both round, by up to half a pixel, and differently in the two halves.
     assert np.allclose(track.positions_px[0], [120.0, 50.0], atol=0.25)
     assert track.sizes_px[0] < 1.0  # 12 px with motion blur; pixels round by up to half a pixel
@@ -245,7 +244,7 @@ def test_sharp_images_do_not_move():
 
 
 def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
-    motion = object_motion(moving()[(EVEN_US < 21_000) | (EVEN_US >= 31_000)], CAMERA)
+    motion = object_motion(MOVING[(EVEN_US < 21_000) | (EVEN_US >= 31_000)], CAMERA)
     # The mean time of the events left is 18 ms, and the mean of their pixels belongs to that time.
     assert motion.at(MIDDLE_S).positions_px[0, 0] == pytest.approx(118.0, abs=0.25)
     centred = motion.centred_at(np.array([0.02, 0.1]))

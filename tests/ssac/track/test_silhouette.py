@@ -44,8 +44,7 @@ def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
     way = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
     along = np.arange(-0.5 * length_px, 0.5 * length_px, STEP_PX)
     times_us = 1e6 * (along - along[0]) / SPEED_PX_S
-    grid = (np.arange(FINE) + 0.5) / FINE - 0.5
-    local = (np.arange(WINDOW)[:, None] + grid).ravel()
+    local = (np.arange(WINDOW * FINE) + 0.5) / FINE - 0.5
     reference = np.full((SIZE, SIZE), np.log(LIGHT))
     before = reference.copy()
     rows = []
@@ -69,9 +68,8 @@ def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
             rows.append(np.column_stack([t, left + x, top + y, up]))
             change = now - held
         was[:] = now
-    table = np.concatenate(rows)
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    events = events_from_arrays(*np.rint(table).astype(np.int64).T)
+    table = np.rint(np.concatenate(rows)).astype(np.int64)
+    events = events_from_arrays(*table[np.argsort(table[:, 0], kind="stable")].T)
     fine = np.arange(-25.0, 25.0, 0.05)
     u, v = np.meshgrid(fine, fine)
     inside = shape(u, v)
@@ -157,13 +155,12 @@ def to_and_fro():
 
 def blind(events, lasting_us):
     """Leave out events that follow the pixel's last kept event within `lasting_us`."""
-    order = np.lexsort((events["t"], events["y"], events["x"]))
-    inside, left, last = events[order], np.ones(len(events), bool), 0
-    for i in range(1, len(inside)):
-        is_own = (inside["x"][i], inside["y"][i]) == (inside["x"][last], inside["y"][last])
-        left[i] = not is_own or inside["t"][i] - inside["t"][last] >= lasting_us
-        last = i if left[i] else last
-    return np.sort(inside[left], order="t", kind="stable")
+    kept, blind_until_us = [], np.zeros((SIZE, SIZE))
+    for i, (t_us, x, y, _) in enumerate(events.tolist()):
+        if t_us >= blind_until_us[y, x]:
+            kept.append(i)
+            blind_until_us[y, x] = t_us + lasting_us
+    return events[kept]
 
 
 def unequal(events, share):
