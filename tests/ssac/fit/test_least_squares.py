@@ -7,18 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ssac.camera import Camera, Rig, undistort_points, with_deviations
-from ssac.fit import intrinsics
-from ssac.fit.least_squares import (
-    FIRST_COLUMN,
-    Column,
-    Parameters,
-    Prior,
-    Problem,
-    WeighedPairs,
-    linearise,
-    moved,
-    solve,
-)
+from ssac.fit import intrinsics, least_squares
+from ssac.fit.least_squares import Column, Parameters, Problem, WeighedPairs, linearise, solve
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
 from ssac.rules import FitRules
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, rotation_angle_deg, track_pair
@@ -34,10 +24,7 @@ TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
 
 
 def pairs_of(seen_s, noise_px, seed, fades_in=0.0):
-    """Pairs at TIMES_S, in which camera 2 sees the object as it was at `seen_s`.
-
-    The noise has the deviation `noise_px`, and its correlation fades in `fades_in` samples.
-    """
+    """Pairs at TIMES_S, of which camera 2 shows `seen_s`; noise fades in `fades_in` samples."""
     p1, _ = track_pair(SCENE, TIMES_S)
     p2, late, early = (track_pair(SCENE, seen_s + step)[1] for step in (0.0, 1e-4, -1e-4))
     noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
@@ -55,6 +42,10 @@ def rate_problem(seed=0, fades_in=0.0, **options):
     pairs = pairs_of(seen_s, 0.1, seed, fades_in)
     column = Column(np.zeros_like(pairs.p1_px), SINCE_S[:, None] * pairs.v2_px_s)
     return Problem(pairs, SCENE.rig, FitRules(), columns=(column,), **options)
+
+
+def prior_of_rate(std, scale_px=np.nan):
+    return least_squares.Prior(least_squares.FIRST_COLUMN, 0.0, std, scale_px)
 
 
 def left_by_fit(problem):
@@ -85,8 +76,7 @@ def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
     std = np.sqrt(without.covariance()[-1, -1])
     shares, stds = [], []
     for ratio in (1e-3, 1.0, 1e3):
-        prior = Prior(FIRST_COLUMN, 0.0, ratio * std)
-        held = left_by_fit(rate_problem(turn=turn, priors=(prior,)))
+        held = left_by_fit(rate_problem(turn=turn, priors=(prior_of_rate(ratio * std),)))
         shares.append(held.parameters.columns[0] / without.parameters.columns[0])
         stds.append(np.sqrt(held.covariance()[-1, -1]) / std)
     assert shares[0] == pytest.approx(0.0, abs=1e-3)
@@ -107,8 +97,7 @@ def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
         std = np.sqrt(found.covariance()[-1, -1])
         assert 0.05 * RATE < std < RATE  # data and prior both count
         for scale_px, given in ((found.fair_scales()[-1], shares), (np.nan, unfair)):
-            prior = Prior(FIRST_COLUMN, 0.0, std, scale_px)
-            held = left_by_fit(replace(free, priors=(prior,)))
+            held = left_by_fit(replace(free, priors=(prior_of_rate(std, scale_px),)))
             given.append(held.parameters.columns[0] / found.parameters.columns[0])
     # One half each. A loss that turns within slow noise has several minima, and a prior may move
     # the solution from one to another: hence the median.
@@ -130,7 +119,8 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
     at = Parameters(T_D_S, SCENE.R, T, np.array([RATE, 0.01, 0.2]))
     analytic = linearise(problem, at).jacobian
     for place, step in enumerate(1e-6 * np.eye(problem.size)):
-        upper, lower = (linearise(problem, moved(at, s)).distances_px for s in (step, -step))
+        ends = (least_squares.moved(at, by) for by in (step, -step))
+        upper, lower = (linearise(problem, end).distances_px for end in ends)
         numeric = (upper - lower) / 2e-6
         # Rounding of 1e-10 px over a step of 1e-6.
         assert np.allclose(analytic[:, place], numeric, atol=1e-4 * np.abs(numeric).max())
@@ -256,27 +246,20 @@ def test_drawn_errors_are_within_the_stated_deviations(seed):
     assert np.median(np.abs(sampson_distance(F, p1, p2))) < 0.1  # of 0.3 px noise at 400 pairs
 
 
-def test_evidence_against_the_intrinsics():
-    # fu and fv differ by 3 % where 0.1 % is stated: no pose makes that good.
-    residuals = fitted(problem_of(rig_of(0.001, 0.3, fu=0.03), 0.1))
-    assert intrinsics.evidence(residuals, UNHIDDEN) > 3.5
-    assert "camera 1's focal length wants to be" in intrinsics.wanted(residuals)
+def test_wrong_intrinsics_show_also_exact_ones_unless_the_cameras_face_each_other():
+    # fu and fv differ by 3 % where 0.1 % is stated, or nothing: no pose makes that good.
+    stated = fitted(problem_of(rig_of(0.001, 0.3, fu=0.03), 0.1))
+    problem = problem_of(rig_of(0.0, 0.0, fu=0.03), 0.1)
+    exact = linearise(problem, solve(problem, TRUTH).parameters)
+    for wrong in (stated, intrinsics.questioned(exact)):
+        assert intrinsics.evidence(wrong, UNHIDDEN) > 3.5
+        assert "camera 1's focal length wants to be" in intrinsics.wanted(wrong)
     for seed in range(4):
-        residuals = fitted(problem_of(rig_of(0.001, 0.3), 0.1, seed))
-        assert intrinsics.evidence(residuals, UNHIDDEN) < 3.5
-
-
-def test_exact_intrinsics_are_questioned_unless_the_cameras_face_each_other():
-    rig = rig_of(0.0, 0.0, fu=0.03)
-    problem = problem_of(rig, 0.1)
-    residuals = linearise(problem, solve(problem, TRUTH).parameters)
-    asked = intrinsics.questioned(residuals)
-    assert intrinsics.evidence(asked, UNHIDDEN) > 3.5
-    assert "camera 1's focal length wants to be" in intrinsics.wanted(asked)
+        good = fitted(problem_of(rig_of(0.001, 0.3), 0.1, seed))
+        assert intrinsics.evidence(good, UNHIDDEN) < 3.5
+        assert intrinsics.questioned(good) is good
     # Move the epipole, where F' vanishes, into the middle of the positions.
-    middle = np.append(np.mean(residuals.p1_px, axis=0), 1.0)
+    middle = np.append(np.mean(exact.p1_px, axis=0), 1.0)
     across = np.eye(3) - np.outer(middle, middle) / (middle @ middle)
-    facing = replace(residuals, F=residuals.F @ across)
+    facing = replace(exact, F=exact.F @ across)
     assert intrinsics.questioned(facing) is facing
-    good = fitted(problem_of(rig_of(0.001, 0.3), 0.1))
-    assert intrinsics.questioned(good) is good
