@@ -13,16 +13,12 @@ from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.rules import Rules
 from ssac.search.object_track import ShapedTrack
-from tests.ssac.synthetic import project
+from tests.ssac.synthetic import EXACT_PX, project
 
 RULES = Rules()
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
-CAMERA = Camera(
-    np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]]),
-    960,
-    600,
-    intrinsics_std_px=(0.0, 0.0, 0.0, 0.0),
-)
+K = np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(K, 960, 600, intrinsics_std_px=EXACT_PX)
 
 
 @dataclass(frozen=True)
@@ -71,13 +67,7 @@ class Flight:
         return solve_network(self.seen, links, 50.0, self.distance_m, rules)
 
 
-def seen_by(
-    track: PointTrack,
-    name: str,
-    has_frames: bool = False,
-    camera: Camera = CAMERA,
-    spreads_px2: np.ndarray | None = None,
-) -> Sightings:
+def seen_by(track, name, has_frames=False, camera=CAMERA, spreads_px2=None) -> Sightings:
     shaped = ShapedTrack(track, spreads_px2)
     return sightings(shaped, camera, name, has_frames, RULES.points)
 
