@@ -39,15 +39,12 @@ def tangents_alone() -> Estimate:
     return found
 
 
-def without_frames(events, phase_us):
-    """Remove the events during frame readouts of 10 ms, 25 times a second."""
-    return events[(events["t"] - phase_us) % 40_000 >= 10_000]
-
-
 def test_frames_that_blind_the_cameras_do_not_shift_the_offset():
     scene = synthetic.make_scene(0, duration_s=8.0)
-    streams = box.box_events(scene, 0, 0.4)
-    blinded = [without_frames(*one) for one in zip(streams, (3_000, 33_000), strict=True)]
+    blinded = [  # for 10 ms, 25 times a second
+        events[(events["t"] - phase_us) % 40_000 >= 10_000]
+        for events, phase_us in zip(box.box_events(scene, 0, 0.4), (3_000, 33_000), strict=True)
+    ]
     views = two_views(*blinded, scene.rig, CLEAN)
     assert all(len(spans_us) > 150 for spans_us in views.alone.blind_us)  # of 200
     estimate = refine_tangents(box.off_the_truth(scene), views)
