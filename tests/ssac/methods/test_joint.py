@@ -128,18 +128,16 @@ def test_a_bias_that_no_residual_shows_is_allowed_for():
 def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
     """A bias is constant, or proportional to x / z or y / z of the view's own camera."""
     scene = replace(SCENE, cam2=OTHER)
-    points = track_pair(scene, np.linspace(0.5, 19.5, 50))
+    points = np.array(track_pair(scene, np.linspace(0.5, 19.5, 50)))
     K1, K2 = scene.rig.cam1.K, scene.rig.cam2.K
     F = fundamental_from_pose(K1, K2, scene.R, scene.t)
     size_px, bias, step = 8.0, np.array([0.04, 0.03, 0.01]), 1e-5
     found = smooth_errors(F, *points, size_px, bias, scene.rig)
     rays = np.column_stack([points[view], np.ones(50)]) @ np.linalg.inv((K1, K2)[view]).T
     for axis in range(2):
-        shift = np.outer(size_px * bias[part] * rays[:, part], np.eye(2)[axis])
-        upper, lower = (
-            sampson_distance(F, *(p + sign * step * shift * (k == view) for k, p in both))
-            for sign, both in ((1.0, enumerate(points)), (-1.0, enumerate(points)))
-        )
+        shift = np.zeros_like(points)
+        shift[view, :, axis] = step * size_px * bias[part] * rays[:, part]
+        upper, lower = (sampson_distance(F, *(points + by)) for by in (shift, -shift))
         column = found[:, 6 * view + 3 * axis + part]
         # The tolerance is rounding, divided by the step.
         np.testing.assert_allclose(column, (upper - lower) / (2.0 * step), atol=1e-6)

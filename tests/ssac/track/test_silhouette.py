@@ -58,15 +58,13 @@ def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
         held, was = reference[part], before[part]  # views
         if i == 0:
             held[:] = now
-        change = now - held
-        while np.abs(change).max() >= THRESHOLD:
-            y, x = np.nonzero(np.abs(change) >= THRESHOLD)
-            up = change[y, x] > 0.0
+        while (is_over := np.abs(now - held) >= THRESHOLD).any():
+            y, x = np.nonzero(is_over)
+            up = now[y, x] > held[y, x]
             held[y, x] += np.where(up, THRESHOLD, -THRESHOLD)
             done = (held[y, x] - was[y, x]) / (now[y, x] - was[y, x])
             t = times_us[i - 1] + done * (times_us[i] - times_us[i - 1])
             rows.append(np.column_stack([t, left + x, top + y, up]))
-            change = now - held
         was[:] = now
     table = np.rint(np.concatenate(rows)).astype(np.int64)
     events = events_from_arrays(*table[np.argsort(table[:, 0], kind="stable")].T)
