@@ -215,14 +215,13 @@ def test_rotation_vector_and_centre_move_with_the_pose_as_central_differences(an
     R = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
     t, step = np.array([0.8, 0.36, -0.48]), 1e-5
 
-    def moved(k, by):
-        turned = Rotation.from_rotvec(by * np.eye(3)[k]).as_matrix() @ R
-        return Rotation.from_matrix(turned).as_rotvec()
+    def moved(by):
+        Q, s = pose.moved_pose(R, t, by)
+        return np.stack([Rotation.from_matrix(Q).as_rotvec(), -Q.T @ s])
 
-    by_turn = [(moved(k, step) - moved(k, -step)) / (2.0 * step) for k in range(3)]
-    np.testing.assert_allclose(pose.vector_by_turn(R).T, by_turn, atol=1e-9)  # of order step^2
-    change = np.eye(5)[:, :, None] * np.array([step, -step])
-    centres = [[-Q.T @ s for Q, s in (pose.moved_pose(R, t, one) for one in of.T)] for of in change]
-    by_pose = np.array([(plus - minus) / (2.0 * step) for plus, minus in centres])
+    slopes = np.array([(moved(by) - moved(-by)) / (2.0 * step) for by in step * np.eye(5)])
+    vectors, centres = slopes.transpose(1, 0, 2)
+    # The errors are of order step^2.
+    np.testing.assert_allclose(pose.vector_by_turn(R).T, vectors[:3], atol=1e-9)
     found = pose.centre_covariance(R, t, np.diag([1.0, 2.0, 3.0, 4.0, 5.0]))
-    np.testing.assert_allclose(found, by_pose.T * np.arange(1, 6) @ by_pose, atol=1e-8)
+    np.testing.assert_allclose(found, centres.T * np.arange(1, 6) @ centres, atol=1e-8)
