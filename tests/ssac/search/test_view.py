@@ -135,21 +135,19 @@ def test_images_move_as_the_readout_says():
     lens = replace(UNKNOWN, **distorted)
     views = two_views(*flight(2, (0.01, 0.02)), Rig(lens, lens), CONFIG)
     shutters = shutters_of(views)
-    readouts_s, step_s = np.array([0.012, 0.017]), 1e-4
-    times_s = (np.linspace(3.0, 17.0, 80),) * 2
+    readouts_s, step_s, times_s = np.array([0.012, 0.017]), 1e-4, np.linspace(3.0, 17.0, 80)
 
     def positions(readouts_s):
-        seen = shutters.views(views, readouts_s)
-        tracks = seen.motion1.sharp_at(times_s[0]), seen.motion2.sharp_at(times_s[1])
-        return np.stack([track.positions_px for track in tracks])
+        motions = shutters.views(views, readouts_s).motions
+        return np.stack([motion.sharp_at(times_s).positions_px for motion in motions])
 
     read_out = shutters.views(views, readouts_s)
-    moves = shutters.moves(read_out, times_s)
-    for k, motion in enumerate((read_out.motion1, read_out.motion2)):
+    moves = shutters.moves(read_out, (times_s, times_s))
+    for k, motion in enumerate(read_out.motions):
         # A row is read out later by its share of the readout, in the distorted image. Noise of
         # 0.3 px is smoothed, and the path between points 30 ms apart is a pixel off its chord.
-        rows = np.interp(times_s[k], motion.times_s, motion.rows)
-        moved = -rows[:, None] * motion.sharp_at(times_s[k]).velocities_px_s
+        rows = np.interp(times_s, motion.times_s, motion.rows)
+        moved = -rows[:, None] * motion.sharp_at(times_s).velocities_px_s
         off = np.linalg.norm(moves[k][k] - moved, axis=1) / np.linalg.norm(moved, axis=1)
         assert np.nanmedian(off) < 2e-3  # undistorted rows would give 0.01
     for k, by_readout in enumerate(moves):
