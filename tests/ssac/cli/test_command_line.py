@@ -81,6 +81,7 @@ def test_the_list_is_grouped_whole_and_imports_nothing(flag, capsys):
     assert "What it is. Options: " in shown
     assert f"Use: greet {LONG} measure Measure. Reproduce: broken Cannot be imported." in shown
     assert "greeting_of_a_test" not in sys.modules
+    assert [entry.name for entry in COMMANDS] == ["sync", "track", "import", "compare"]
 
 
 def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
@@ -96,6 +97,13 @@ def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
     assert "--half-window SECONDS Of a sample. From 0.001 to 0.25 seconds. [default: 0.02]" in shown
     assert "--size W H Of a sensor. From 1 to 99. [default: 9, 9]" in shown
     assert "--extent METRES Of a thing. From 1 to 2 metres." in shown
+    for args, taken in (
+        ("", "0.02 (9, 9) None"),
+        ("--half-window 0.001 --size 1 99", "0.001 (1, 99) None"),
+        ("--half-window 0.25 --extent 2", "0.25 (9, 9) 2.0"),
+    ):
+        assert ssac("measure", *args.split()) == DONE
+        assert capsys.readouterr().out == f"{taken}\n"
 
 
 def test_the_version_goes_to_stdout_and_the_list_without_a_command_to_stderr(capsys):
@@ -107,19 +115,28 @@ def test_the_version_goes_to_stdout_and_the_list_without_a_command_to_stderr(cap
     assert err.startswith("Usage: ssac [OPTIONS] COMMAND")
 
 
+HALF_WINDOW = "--half-window: expected 0.001 to 0.25 seconds, got"
+
+
 @pytest.mark.parametrize(
     ("args", "line"),
     [
-        (("greets",), "there is no command 'greets': did you mean greet?; see ssac --help"),
-        (("xyz",), "there is no command 'xyz'; see ssac --help"),
-        (("--xyz",), "No such option: --xyz; see ssac --help"),
-        (("greet", "--name"), "Option '--name' requires an argument; see ssac greet --help"),
-        (("greet",), "Missing argument 'NAME'; see ssac greet --help"),
-        (("greet", "a", "b"), "Got unexpected extra argument(s) (b); see ssac greet --help"),
+        ("greets", "there is no command 'greets': did you mean greet?; see ssac --help"),
+        ("xyz", "there is no command 'xyz'; see ssac --help"),
+        ("--xyz", "No such option: --xyz; see ssac --help"),
+        ("greet --name", "Option '--name' requires an argument; see ssac greet --help"),
+        ("greet", "Missing argument 'NAME'; see ssac greet --help"),
+        ("greet a b", "Got unexpected extra argument(s) (b); see ssac greet --help"),
+        *(
+            (f"measure --half-window {value}", f"{HALF_WINDOW} {value}")
+            for value in ("20", "nan", "-inf")
+        ),
+        ("measure --size 9 100", "--size: expected 1 to 99, got 100"),
+        ("measure --extent 0.99", "--extent: expected 1 to 2 metres, got 0.99"),
     ],
 )
 def test_bad_usage_is_one_line(args, line, capsys):
-    assert ssac(*args) == BAD_INPUT
+    assert guarded(lambda: ssac(*args.split())) == BAD_INPUT
     assert capsys.readouterr() == ("", f"error: {line}\n")
 
 
@@ -137,30 +154,6 @@ def test_a_shell_completes_names_without_importing_and_options(
     assert end.value.code == 0
     assert capsys.readouterr().out.split() == [shown]
     assert ("greeting_of_a_test" in sys.modules) == (shown == "--loud")
-
-
-HALF_WINDOW = "--half-window: expected 0.001 to 0.25 seconds, got"
-
-
-@pytest.mark.parametrize(
-    ("args", "shown"),
-    [
-        ("", "0.02 (9, 9) None"),
-        ("--half-window 0.001 --size 1 99", "0.001 (1, 99) None"),
-        ("--half-window 0.25 --extent 2", "0.25 (9, 9) 2.0"),
-        *((f"--half-window {value}", f"{HALF_WINDOW} {value}") for value in ("20", "nan", "-inf")),
-        ("--size 9 100", "--size: expected 1 to 99, got 100"),
-        ("--extent 0.99", "--extent: expected 1 to 2 metres, got 0.99"),
-    ],
-)
-def test_values_within_the_range_are_taken_and_others_refused(args, shown, capsys):
-    if "expected" in shown:
-        with pytest.raises(SsacError) as refused:
-            ssac("measure", *args.split())
-        assert str(refused.value) == shown
-    else:
-        assert ssac("measure", *args.split()) == DONE
-        assert capsys.readouterr().out == f"{shown}\n"
 
 
 # --- Fields of the config ---
@@ -234,38 +227,31 @@ def test_lines_come_at_each_tenth_and_every_30_s(
         assert lines[-1] == "flights: 300 of 300 done after 02:30"
 
 
-def shown(total: int) -> None:
-    """Report progress of so many things, with another message after the first."""
-    with progress(total, "flights") as advance:
-        for n_done in range(total + 1):
-            advance(n_done)
-            if n_done == 1:
-                say("a worker died")
-
-
-def test_where_stderr_is_no_terminal_nothing_is_written_over(capsys):
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_terminal_has_a_bar_and_elsewhere_nothing_is_written_over(
+    is_terminal, capsys, monkeypatch
+):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
     for total, is_shown in ((0, True), (5, False)):
         with progress(total, "flights", is_shown=is_shown) as advance:
             advance(total)
     assert capsys.readouterr().err == ""
-    shown(2)
+    with progress(2, "flights") as advance:
+        for n_done in range(3):
+            advance(n_done)
+            if n_done == 1:
+                say("a worker died")
     out, err = capsys.readouterr()
     assert out == ""
-    assert "\r" not in err
-    assert err.splitlines() == [
-        "flights: 1 of 2 done after 00:00, 00:00 left",
-        "a worker died",
-        "flights: 2 of 2 done after 00:00",
-    ]
-
-
-def test_a_terminal_has_a_bar(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    shown(2)
-    err = capsys.readouterr().err
-    assert "\rflights: 100%|" in err
-    assert "2/2 [" in err
-    assert "done after" not in err
+    if is_terminal:
+        assert "\rflights: 100%|" in err
+        assert "2/2 [" in err
+        assert "done after" not in err
+    else:
+        assert err == (
+            "flights: 1 of 2 done after 00:00, 00:00 left\na worker died\n"
+            "flights: 2 of 2 done after 00:00\n"
+        )
 
 
 @pytest.mark.parametrize(
@@ -390,24 +376,20 @@ def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body
     assert process.returncode == INTERRUPTED
 
 
-def test_a_signal_amid_compiled_code_is_no_bug(capsys):
+def test_a_signal_amid_compiled_code_is_no_bug_and_the_callers_signals_stay(capsys):
     def within(raised):
         wrapped = SystemError("a function returned a result with an exception set")
         wrapped.__cause__ = SystemError("another did")
         wrapped.__cause__.__cause__ = raised
         return Mock(side_effect=wrapped)
 
-    assert guarded(within(KeyboardInterrupt())) == INTERRUPTED
+    numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    assert guarded(within(KeyboardInterrupt())) == INTERRUPTED == 130
+    assert [signal.getsignal(number) for number in numbers] == before
     with pytest.raises(SystemExit, match="143"):
         guarded(within(SystemExit(143)))
     assert capsys.readouterr().err == "interrupted\n"
-
-
-def test_an_interrupt_leaves_the_callers_signals_as_they_were():
-    numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
-    assert guarded(Mock(side_effect=KeyboardInterrupt())) == INTERRUPTED == 130
-    assert [signal.getsignal(number) for number in numbers] == before
 
 
 # --- What is imported: no simulator, no experiments, nothing else unneeded ---
@@ -433,10 +415,6 @@ def ran(*args: object):
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     *_, modules, threads = done.stdout.splitlines()
     return done, set(modules.split()), threads
-
-
-def test_only_commands_of_its_own_are_listed():
-    assert [entry.name for entry in COMMANDS] == ["sync", "track", "import", "compare"]
 
 
 HEAVY = {
