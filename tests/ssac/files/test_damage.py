@@ -158,7 +158,7 @@ KINDS = (".bag", ".mcap", ".db3", "")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_of_both_cameras_is_read_topic_by_topic(kind, tmp_path):
+def test_a_bag_is_read_topic_by_topic_and_its_only_topic_by_itself(kind, tmp_path):
     topics = {"/left/events": arrays(EVENTS), "/right/events": mono(OTHERS), "/seen": points(TRACK)}
     bag = write_bag(tmp_path / f"flight{kind}", topics)
     for topic, events in (("left/events", EVENTS), ("right/events", OTHERS)):
@@ -172,10 +172,6 @@ def test_a_bag_of_both_cameras_is_read_topic_by_topic(kind, tmp_path):
     assert found.sigmas_px is None
     with pytest.raises(SsacError, match=r"2 topics, /left/events, /right/events: .*/left/events$"):
         load_events(bag)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_only_topic_of_events_is_taken_by_itself_and_else_that_of_points(kind, tmp_path):
     bag = write_bag(tmp_path / f"a{kind}", {"/seen": points(TRACK), "/events": arrays(EVENTS)})
     assert topic_of(bag).name == "/events"
     assert len(load_events(bag).events) == len(EVENTS)
@@ -237,15 +233,12 @@ def test_a_bag_that_is_cut_off_is_refused(share, suffix, tmp_path):
         load_events(bag)
 
 
-def test_missing_messages_are_seen_and_what_is_left_is_read_if_allowed(tmp_path):
+def test_what_is_left_of_a_bag_is_read_if_allowed_as_far_as_its_messages_can_be_read(tmp_path):
     folder = write_bag(tmp_path / "flight", {"/events": arrays(EVENTS)})
     about = folder / "metadata.yaml"
     about.write_text(about.read_text().replace("message_count: 3", "message_count: 5"))
     said = "damaged: 2 of 5 messages are missing", "what is left of it is read: 2 of 5 messages"
     assert len(refused_or_left(folder, *said)) == len(EVENTS)
-
-
-def test_a_message_that_cannot_be_read_ends_what_is_allowed_to_be_damaged(tmp_path):
     kind, messages = mono(EVENTS)
     broken = packets("mono", [(EVENTS["t"][-1], b"abc")])[1]
     bag = write_bag(tmp_path / "flight.bag", {"/events": (kind, [*messages, *broken])})

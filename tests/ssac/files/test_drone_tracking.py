@@ -63,19 +63,18 @@ def test_a_data_set_becomes_tracks_and_a_rig(data, tmp_path):
         np.testing.assert_array_equal(camera.K, K)
 
 
-def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
+def test_of_data_set_4_labelled_frames_are_kept_and_a_name_without_a_number_is_refused(
+    data, tmp_path
+):
     shutil.copytree(data, tmp_path / "data")
     folder = (tmp_path / "data" / "dataset2").rename(tmp_path / "data" / "dataset4")
     for camera, fps in zip(import_data_set(folder, tmp_path / "out"), FPS, strict=True):
         assert set(np.rint(camera.track.times_s * fps).astype(int) % 4) == {1}
-
-
-def test_a_folder_whose_name_has_no_number_gets_no_calibration(data, tmp_path):
-    shutil.copytree(data, tmp_path / "data")
-    folder = (tmp_path / "data" / "dataset2").rename(tmp_path / "data" / "mine")
     with pytest.raises(SsacError, match="mine: expected a name that ends in the data set's number"):
-        import_data_set(folder, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+        import_data_set(folder.rename(tmp_path / "data" / "mine"), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(SsacError, match="there is no such folder"):
+        run_pairs(tmp_path, tmp_path, (1,))
 
 
 def run_pairs(data, work, numbers):
@@ -163,8 +162,3 @@ def test_published_clocks_are_read(tmp_path):
     assert truth.alpha[0, 1] == 0.4999
     # The finer of both directions: frame i = 2 j - 1; 100 s are frame 6000, which is j = 3000.5.
     assert truth.t_d_s(0, 1, (60.0, 30.0), 100.0) == pytest.approx(0.5 / 30.0)
-
-
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(SsacError, match="there is no such folder"):
-        run_pairs(tmp_path, tmp_path, (1,))

@@ -29,14 +29,13 @@ FIRST_US = 20_000_000  # EVT3's 24-bit clock has overflowed once by then
 
 
 @st.composite
-def some_events(draw, first_us=None):
+def some_events(draw, first_us):
     """Sorted events, some at one time; too few for equal ones to count as a damaged block."""
     n = draw(st.integers(1, 31))
     steps_us = draw(arrays(np.int64, n, elements=st.integers(0, 50_000)))
     sides = ((WIDTH - 1, np.int64), (HEIGHT - 1, np.int64), (1, np.int64))
     x, y, p = (draw(arrays(kind, n, elements=st.integers(0, most))) for most, kind in sides)
-    start_us = FIRST_US if first_us is None else draw(first_us)
-    return events_from_arrays(start_us + np.cumsum(steps_us), x, y, p)
+    return events_from_arrays(draw(first_us) + np.cumsum(steps_us), x, y, p)
 
 
 def random_events(n=2000):
@@ -151,8 +150,9 @@ FORMS = {
     "evt2.mcap": partial(bag_of_words, "evt2", evt2_of_a_camera, 36, True),
     "evt3.bag": partial(bag_of_words, "evt3", evt3_of_a_camera, 2000, False),
 }
-WITHOUT_SIZE = ("dsec.h5", "array.npy")
+WITHOUT_SIZE = ("dsec.h5", "array.npy", "times.txt")
 BAGS = tuple(name for name in FORMS if name.endswith(BAG_SUFFIXES))
+ANY_TIME_US = st.integers(-(10**6), 2 * 10**15)  # negative, or since 1970
 
 
 def test_evt3_whose_clock_starts_again_while_nothing_is_seen(tmp_path):
@@ -169,14 +169,14 @@ def test_every_format_is_tried():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", [*FORMS, "times.txt"])
 def test_events_come_back_as_they_were_recorded(name, tmp_path_factory, monkeypatch):
     path = tmp_path_factory.mktemp("form") / name
     monkeypatch.setattr("ssac.files.text.LINES_PER_BLOCK", 7)
 
-    @given(some_events())
+    @given(some_events(ANY_TIME_US if name == "times.txt" else st.just(FIRST_US)))
     def law(events):
-        FORMS[name](path, events)
+        FORMS.get(name, partial(save_events_text, width=None, height=None))(path, events)
         file = load_events(path)
         assert file.events.dtype == EVENT_DTYPE
         np.testing.assert_array_equal(file.events, events)
@@ -243,15 +243,6 @@ def test_an_event_stream_that_lost_its_start_gives_a_warning(tmp_path):
         load_events(tmp_path / "cam1.es")
 
 
-@given(some_events(st.integers(-(10**6), 2 * 10**15)))
-def test_text_is_exact_to_the_microsecond_for_negative_and_unix_times(tmp_path_factory, events):
-    path = tmp_path_factory.getbasetemp() / "times.txt"
-    save_events_text(path, events, None, None)
-    file = load_events(path)
-    np.testing.assert_array_equal(file.events, events)
-    assert (file.width, file.height) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "events", "size"),
     [
@@ -272,6 +263,51 @@ def test_text_as_others_write_it(tmp_path, name, text, events, size):
     assert (file.width, file.height) == size
 
 
+# --- What is refused ---
+
+
+def _attribute(key, value):
+    return lambda file: file.attrs.__setitem__(key, value)
+
+
+def _instead(old, value, new=None):
+    def change(file):
+        del file[old]
+        file[new or old] = value
+
+    return change
+
+
+def _declared(file):
+    del file["events"]
+    for field in "txyp":
+        file.create_dataset(f"events/{field}", (4_000_000_000,), np.int64, chunks=(1000,))
+
+
+def _lost_block(file):
+    t = file["events/t"][:]
+    del file["events/t"]
+    column = file.create_dataset("events/t", t.shape, t.dtype, chunks=(500,))
+    column[:1000], column[1500:] = t[:1000], t[1500:]
+
+
+HDF5 = [
+    (_attribute("geometry", "346,260"), "geometry must be WIDTHxHEIGHT"),
+    (_attribute("width", "wide"), "the attribute width must be a number of 1 to 65535"),
+    (_attribute("height", np.nan), "the attribute height must be a number"),
+    (_instead("events/t", 5), "must be of one length"),
+    (_instead("events/x", np.zeros(3, np.uint16)), "t, x, y and p must be of one length"),
+    (_instead("events", [0.0, 1.0], "events/ts"), r"expected the datasets .* \['events'\]"),
+    (_instead("events/t", 0, "events/t/no"), "events/t must be a dataset"),
+    (_instead("events/t", h5py.SoftLink("/events/t")), "events/t is a link to elsewhere"),
+    (_instead("events", h5py.ExternalLink("other.h5", "/")), "is a link to elsewhere"),
+    (lambda file: file.create_dataset("t_offset", data="now"), "t_offset must be one number"),
+    (lambda file: file.create_dataset("t_offset", data=np.nan), "t_offset must be one number"),
+    (lambda file: file.create_dataset("CD/events", data=5), "CD/events must be a list of x"),
+    (_declared, "says that it has 4000000000 values, but 0 bytes of it are stored"),
+    (_lost_block, "is damaged: 1 of 4 blocks of events/t are lost"),
+    (lambda file: os.truncate(file.filename, 9000), "truncated"),
+]
 SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
 
 
@@ -319,17 +355,23 @@ SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
         ("a.npz", {"t": np.zeros(2, int), "x": np.zeros(2, int)}, "an array for each of them"),
         ("a.npz", {name: np.zeros(k, int) for k, name in enumerate("txyp")}, "of one length"),
         ("a.npz", {"events": np.zeros(1, EVENT_DTYPE), "width": "wide"}, "width must be a number"),
+        *(("a.h5", change, message) for change, message in HDF5),
     ],
 )
 def test_unusable_files_are_refused(tmp_path, name, content, message):
+    path = tmp_path / name
     if isinstance(content, dict):
-        np.savez(tmp_path / name, **content)
+        np.savez(path, **content)
     elif isinstance(content, np.ndarray):
-        np.save(tmp_path / name, content)
+        np.save(path, content)
+    elif callable(content):
+        save_events_h5(path, random_events(), WIDTH, HEIGHT)
+        with h5py.File(path, "a") as file:
+            content(file)
     elif content is not None:
-        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SsacError, match=rf"{name.replace('.', '[.]')}: .*{message}"):
-        load_events(tmp_path / name)
+        load_events(path)
 
 
 @pytest.mark.parametrize(
@@ -378,63 +420,6 @@ def test_reading_needs_little_more_memory_than_the_events(tmp_path):
     tracemalloc.stop()
     # The columns, the event array made of them, and one mask of the checks.
     assert peak < 2.5 * events.nbytes
-
-
-# --- HDF5 that is not what it says ---
-
-
-def _attribute(key, value):
-    return lambda file: file.attrs.__setitem__(key, value)
-
-
-def _instead(old, value, new=None):
-    def change(file):
-        del file[old]
-        file[new or old] = value
-
-    return change
-
-
-def _declared(file):
-    del file["events"]
-    for field in "txyp":
-        file.create_dataset(f"events/{field}", (4_000_000_000,), np.int64, chunks=(1000,))
-
-
-def _lost_block(file):
-    t = file["events/t"][:]
-    del file["events/t"]
-    column = file.create_dataset("events/t", t.shape, t.dtype, chunks=(500,))
-    column[:1000], column[1500:] = t[:1000], t[1500:]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (_attribute("geometry", "346,260"), "geometry must be WIDTHxHEIGHT"),
-        (_attribute("width", "wide"), "the attribute width must be a number of 1 to 65535"),
-        (_attribute("height", np.nan), "the attribute height must be a number"),
-        (_instead("events/t", 5), "must be of one length"),
-        (_instead("events/x", np.zeros(3, np.uint16)), "t, x, y and p must be of one length"),
-        (_instead("events", [0.0, 1.0], "events/ts"), r"expected the datasets .* \['events'\]"),
-        (_instead("events/t", 0, "events/t/no"), "events/t must be a dataset"),
-        (_instead("events/t", h5py.SoftLink("/events/t")), "events/t is a link to elsewhere"),
-        (_instead("events", h5py.ExternalLink("other.h5", "/")), "is a link to elsewhere"),
-        (lambda file: file.create_dataset("t_offset", data="now"), "t_offset must be one number"),
-        (lambda file: file.create_dataset("t_offset", data=np.nan), "t_offset must be one number"),
-        (lambda file: file.create_dataset("CD/events", data=5), "CD/events must be a list of x"),
-        (_declared, "says that it has 4000000000 values, but 0 bytes of it are stored"),
-        (_lost_block, "is damaged: 1 of 4 blocks of events/t are lost"),
-        (lambda file: os.truncate(file.filename, 9000), "truncated"),
-    ],
-)
-def test_hdf5_that_is_not_what_it_says_is_one_error(tmp_path, change, message):
-    save_events_h5(tmp_path / "cam1.h5", random_events(), WIDTH, HEIGHT)
-    with h5py.File(tmp_path / "cam1.h5", "a") as file:
-        change(file)
-    with pytest.raises(SsacError, match=message) as raised:
-        load_events(tmp_path / "cam1.h5")
-    assert "cam1.h5" in str(raised.value)
 
 
 def test_a_codec_that_is_not_installed_is_named(tmp_path, monkeypatch):
@@ -489,9 +474,9 @@ def test_frames_are_read_whole_or_summed_up_a_few_at_a_time(tmp_path, monkeypatc
     ],
 )
 def test_unusable_frames_are_refused(tmp_path, times_us, images, message):
-    write_frames(tmp_path / "cam1.h5", times_us, images)
+    path = write_frames(tmp_path / "cam1.h5", times_us, images)
     with pytest.raises(SsacError, match=message):
-        hdf5.load_frames(tmp_path / "cam1.h5")
+        hdf5.load_frames(path)
 
 
 def test_lost_frames_are_refused_without_the_advice_to_allow_damage(tmp_path):
