@@ -120,28 +120,25 @@ def test_clocks_are_told(answer, tmp_path):
     assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
 
 
-def test_a_clock_runs_fast_or_slow_beyond_one_deviation_only(answer):
-    clock = {"t_ref_s": 5.0, "skew_std_ppm": 20.0}
+def test_a_skew_is_a_finding_beyond_one_deviation_and_where_it_is_not_of_its_prior(answer):
     for skew_ppm, words in (
         (-20.0, "the clocks run alike, as far as this tells"),
         (-20.1, "camera 2's clock runs slow"),
         (20.1, "camera 2's clock runs fast"),
     ):
-        text, _ = told(answer, skew_ppm=skew_ppm, **clock)
+        text, _ = told(answer, t_ref_s=5.0, skew_ppm=skew_ppm, skew_std_ppm=20.0)
         assert f"\n               {words}; t_d holds at 5.000 s of camera 1's\n" in text
-
-
-@pytest.mark.parametrize(("std_ppm", "is_assumed"), [(35.0, False), (36.0, True)])  # 50 / sqrt(2)
-def test_a_skew_that_is_of_its_prior_is_no_finding(answer, std_ppm, is_assumed):
-    clock = {"t_ref_s": 5.0, "skew_ppm": 8.0, "skew_std_ppm": std_ppm}
-    text, _ = told(answer, **clock)
-    assert ("rather taken to be within 50 ppm than found: see --skew-prior" in text) is is_assumed
+    assumed = "rather taken to be within 50 ppm than found: see --skew-prior"
     # If the rate was searched for, the prior is centred on the rate found, and says nothing of it.
-    for rate in (1.0, 0.7):
-        guess = Guess(0.05, 5.0, rate, 1.0)
-        start = Start(AllOffsets(np.zeros(1), np.zeros(1), [guess], 0.02))
-        text, _ = told(replace(answer, start=start), **clock)
-        assert ("than found" in text) is (is_assumed and rate == 1.0)
+    for std_ppm, rate, is_assumed in (  # 50 / sqrt(2)
+        *((35.0, rate, False) for rate in (None, 1.0, 0.7)),
+        *((36.0, rate, rate != 0.7) for rate in (None, 1.0, 0.7)),
+    ):
+        guesses = [Guess(0.05, 5.0, rate, 1.0)]
+        start = Start(AllOffsets(np.zeros(1), np.zeros(1), guesses, 0.02)) if rate else None
+        other = replace(answer, start=start)
+        text, _ = told(other, t_ref_s=5.0, skew_ppm=8.0, skew_std_ppm=std_ppm)
+        assert (assumed in text) is is_assumed
 
 
 def test_every_line_fits_a_screen(answer):
@@ -295,12 +292,6 @@ def test_colours_stay_apart_in_grey():
 BOTH = (0, 1)
 
 
-@pytest.fixture(scope="module")
-def drawn(result):
-    """The streams of both cameras that the page's player draws."""
-    return laid_out(result.answer)
-
-
 def laid_out(answer):
     return streams({BOTH: answer}, seen_by({BOTH: answer}))
 
@@ -378,17 +369,6 @@ def test_a_charts_numbers_and_images_stand_as_they_were_drawn(result):
     assert re.search(r"matrix\(\d\.\d{3}", image)
 
 
-def test_a_refusal_with_f_shows_its_best_offset_and_what_was_left(result):
-    answer = changed(result.answer, status=Status.POOR_FIT, t_d_s=np.nan, R=None, t=None)
-    assert answer.estimate.F is not None
-    best_s = result.candidates_s[np.nanargmin(result.costs)]
-    page = page_of(answer)
-    assert "What was tried" in page
-    assert "Residuals over time" in page
-    (pair,) = laid_out(answer)["pairs"]
-    assert (pair["found"], pair["holds"]) == (pytest.approx(best_s, abs=1e-6), False)
-
-
 def test_nothing_that_files_say_becomes_html(result):
     cleans = tuple(replace(one, name=f"{EVIL}{k}") for k, one in enumerate(result.answer.cleans))
     answer = replace(result.answer, cleans=cleans, rig_name=EVIL)
@@ -397,15 +377,23 @@ def test_nothing_that_files_say_becomes_html(result):
     assert text.count(EVIL) >= 7  # twice each file, rig, reason, summary, command
 
 
-@pytest.mark.parametrize("status", [Status.NO_MATCH, Status.DEGENERATE_POSE])
-def test_a_refusal_has_a_page_that_says_what_to_do(status, result):
-    less = {} if status.has_offset else {"F": None, "t_d_s": np.nan}
-    less |= {"R": None, "t": None, "costs": np.empty(0)}
-    page = page_of(changed(result.answer, status=status, reason="why", **less))
-    text = "".join(check_page(page).text)
-    assert f"What mostly helps: {status.remedy}." in text
-    assert ("In part" if status.has_offset else "Refused") in text
-    assert "When each camera sees the object" in text
+def test_a_refusal_has_a_page_that_says_what_to_do_and_with_f_what_was_tried(result):
+    no_pose, no_offset, tried = {"R": None, "t": None}, {"t_d_s": np.nan}, {"costs": np.empty(0)}
+    for status, less in (
+        (Status.NO_MATCH, no_offset | tried | {"F": None}),
+        (Status.DEGENERATE_POSE, tried),
+        (Status.POOR_FIT, no_offset),
+    ):
+        answer = changed(result.answer, status=status, reason="why", **no_pose, **less)
+        text = "".join(check_page(page_of(answer)).text)
+        assert f"What mostly helps: {status.remedy}." in text
+        assert ("In part" if status.has_offset else "Refused") in text
+        assert "When each camera sees the object" in text
+    assert "What was tried" in text
+    assert "Residuals over time" in text
+    (pair,) = laid_out(answer)["pairs"]
+    best_s = result.candidates_s[np.nanargmin(result.costs)]
+    assert (pair["found"], pair["holds"]) == (pytest.approx(best_s, abs=1e-6), False)
     assert all(one.remedy for one in Status if one is not Status.OK)
 
 
@@ -452,8 +440,10 @@ def test_cameras_that_begin_late_or_have_frames_alone_have_a_page(recorded, tmp_
     check_page(result.report(tmp_path / "frames.html").read_text(encoding="utf-8"))
 
 
-def test_the_players_events_are_the_recordings(result, drawn):
-    for view, clean in zip(drawn["views"], result.answer.cleans, strict=True):
+def test_the_players_events_are_the_recordings_and_its_positions_those_of_the_views(result):
+    answer = result.answer
+    views, motions = laid_out(answer)["views"], answer.paired.motions
+    for view, clean, motion in zip(views, answer.cleans, motions, strict=True):
         *shown, p = events_of(view)
         events, last = clean.events, unpacked(view["counts"], "<u4").size - 1
         frames = ((events["t"] / 1e6 - view["start"]) / view["frame"]).astype(int)
@@ -463,10 +453,6 @@ def test_the_players_events_are_the_recordings(result, drawn):
         )
         assert found == expected
         assert 0.2 < np.mean(p) < 0.8
-
-
-def test_the_players_positions_are_those_of_the_views(result, drawn):
-    for view, motion in zip(drawn["views"], result.answer.paired.motions, strict=True):
         track = unpacked(view["track"], "<i2").reshape(-1, 2).astype(float)
         seen = motion.at(view["start"] + view["frame"] * np.arange(len(track)))
         valid = track[:, 0] > -32768
@@ -497,7 +483,7 @@ def test_two_minutes_of_noise_fit_on_a_page(result):
     assert len(page_of(replace(result.answer, cleans=cleans))) < 3_000_000
 
 
-def test_the_path_is_seen_where_both_cameras_see_it(result):
+def test_the_path_is_seen_where_both_cameras_see_it_and_camera_2_spreads_as_the_pose(result):
     scene = scene_of_two(result.answer)
     points, times_s = np.array(scene["path"]), np.array(scene["times"])
     seen, _ = result.answer.paired.sharp_at(times_s, result.t_d_s)
@@ -505,15 +491,12 @@ def test_the_path_is_seen_where_both_cameras_see_it(result):
     off_px = np.linalg.norm(images[:, :2] / images[:, 2:] - seen.positions_px, axis=1)
     # The path is midway between rays of positions that lie some pixels off their epipolar lines.
     assert np.nanmedian(off_px) < 2.0
-
-
-def test_the_spread_of_camera_2_is_that_of_the_pose(result):
-    """The deviations are compared with those of 4000 draws, which are known to 1 %."""
+    # The deviations are compared with those of 4000 draws, which are known to 1 %.
     rng = np.random.default_rng(0)
     steps = rng.multivariate_normal(np.zeros(5), 1e-4 * result.covariance[1:, 1:], 4000)
     poses = [moved_pose(result.R, result.t, step) for step in steps]
     drawn = 1e2 * np.std([-R.T @ t for R, t in poses], axis=0)
-    axes = np.array(scene_of_two(result.answer)["cameras"][1]["axes"])
+    axes = np.array(scene["cameras"][1]["axes"])
     np.testing.assert_allclose(np.sqrt(np.sum(axes**2, axis=0)), drawn, rtol=0.1)
 
 
