@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from scipy.interpolate import make_interp_spline
 
+from ssac.arrays import Array
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -16,7 +17,7 @@ from ssac.points import PointTrack
 from tests.answers import Recorded
 from tests.recorded import add_frames
 from tests.ssac.cluttered import merged, mixed, noise
-from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, clocked, make_events, make_scene
+from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, clocked, make_events, make_scene
 from tests.ssac.tracks import frame_track, frame_tracks, rig_document
 
 DURATION_S, T_D_S, SIZE_M = 5.0, 0.05, 0.4

@@ -1,10 +1,7 @@
 """A turning body that consists of balls, and its images."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-from ssac.arrays import Array
 
 FINE = 4  # samples across a pixel
 
@@ -19,7 +16,7 @@ BODY_M = np.array([
 BALL_M = np.array([[0.0, 0.0, 0.0, 0.25]])
 
 
-def attitudes(times_s: Array, turning_deg_s: float) -> Rotation:
+def attitudes(times_s, turning_deg_s):
     """Attitudes that oscillate in tilt and turn steadily about the vertical."""
     tilt_deg = 15.0 * np.stack([np.sin(1.3 * times_s), np.cos(0.9 * times_s)], axis=1)
     yaw_deg = 20.0 + turning_deg_s * times_s
@@ -29,18 +26,16 @@ def attitudes(times_s: Array, turning_deg_s: float) -> Rotation:
     return upright * Rotation.from_euler("ZYX", turns, degrees=True)
 
 
-def moments_of(balls: Array, turns: Rotation) -> Array:
+def moments_of(balls, turns):
     """Second moments (n, 3, 3) of the balls about the origin, each weighted by its image's area."""
     weights = balls[:, 3] ** 2
     flat = (balls[:, :3] * weights[:, None]).T @ balls[:, :3] / weights.sum()
     flat += np.eye(3) * 0.2 * np.sum(weights * balls[:, 3] ** 2) / weights.sum()
     axes = turns.as_matrix()
-    return np.asarray(axes @ flat @ axes.transpose(0, 2, 1))
+    return axes @ flat @ axes.transpose(0, 2, 1)
 
 
-def drawn_at(
-    balls: Array, turns: Rotation, points: Array, focal_px: float, width: int
-) -> tuple[NDArray[np.float32], Array, Array, Array]:
+def drawn_at(balls, turns, points, focal_px, width):
     """Draw the body at points (n, 3) with attitudes `turns`, both in the camera's frame.
 
     Return the covered share of each pixel (n, width, width), the first pixels relative to the

@@ -1,23 +1,22 @@
 """Events of clutter, noise and further objects, to be added to those of a camera."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ssac import Observation
 from ssac.events import events_from_arrays
-from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, events_at, make_events, make_scene
+from tests.ssac.synthetic import HEIGHT, WIDTH, events_at, make_events, make_scene
 
 
-def merged(*parts: NDArray[np.void]) -> NDArray[np.void]:
-    return np.asarray(mixed(*parts)[0])
+def merged(*parts):
+    return mixed(*parts)[0]
 
 
-def pixel_events(x: int, y: int, n: int, duration_us: int = 1_000_000) -> NDArray[np.void]:
+def pixel_events(x, y, n, duration_us=1_000_000):
     t = np.sort(np.random.default_rng(x + 1000 * y).integers(0, duration_us, n))
     return events_from_arrays(t, np.full(n, x), np.full(n, y), np.ones(n, int))
 
 
-def lamp(x: int, y: int, size_px: int, duration_us: int) -> NDArray[np.void]:
+def lamp(x, y, size_px, duration_us):
     """Events of a square lamp on the mains: one ON and one OFF event per flicker and pixel."""
     rng = np.random.default_rng(x + 1000 * y)
     n = round(2e-4 * duration_us)  # 100 flickers a second
@@ -30,16 +29,14 @@ def lamp(x: int, y: int, size_px: int, duration_us: int) -> NDArray[np.void]:
     return merged(*parts)
 
 
-def noise(width: int, height: int, hz: float, duration_us: int, seed: int = 0) -> NDArray[np.void]:
+def noise(width, height, hz, duration_us, seed=0):
     rng = np.random.default_rng(seed)
     n = rng.poisson(1e-6 * hz * width * height * duration_us)
     t = np.sort(rng.integers(0, duration_us, n))
-    return events_from_arrays(
-        t, rng.integers(0, width, n), rng.integers(0, height, n), rng.integers(0, 2, n)
-    )
+    return events_from_arrays(t, *(rng.integers(0, most, n) for most in (width, height, 2)))
 
 
-def noisy_flight(scene: Scene, t_d_s: float) -> list[Observation]:
+def noisy_flight(scene, t_d_s):
     """Observe a flight in fluctuating light, by events and frames of cameras that make noise."""
     rng = np.random.default_rng(0)
     images = np.cumsum(rng.integers(0, 40, (300, 4, 5)), axis=0).astype(np.uint8)

@@ -4,8 +4,7 @@ import io
 import json
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from unittest.mock import patch
 
 from ssac.cli.__main__ import main
@@ -18,7 +17,7 @@ class Run(NamedTuple):
     stderr: str
 
 
-def run(*args: object, code: int | None = 0) -> Run:
+def run(*args, code=0):
     """Run a command line, which must end with a code, as on a screen that is wide enough."""
     out, err = io.StringIO(), io.StringIO()
     wide = patch.object(columns, "__defaults__", (sys.maxsize,))
@@ -28,8 +27,8 @@ def run(*args: object, code: int | None = 0) -> Run:
     return ended
 
 
-def read_json(path: Path) -> Any:
-    def refuse(constant: str) -> None:
+def read_json(path):
+    def refuse(constant):
         raise ValueError(f"{constant} is not JSON")
 
     return json.loads(path.read_text(), parse_constant=refuse)

@@ -4,15 +4,12 @@ A cloud of points flies along a random spline in front of two cameras. Each poin
 events at random instants at the pixel onto which it projects.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from ssac import EVENT_DTYPE
-from ssac.arrays import Array
 from ssac.camera import Camera, Rig, distort_points
 from ssac.track.clean import Clean
 
@@ -30,24 +27,24 @@ OTHER = Camera(K2, 340, 290, "radtan", (-0.12, 0.03, 0.001, -0.0015), EXACT_PX)
 class Scene:
     """One flight before two cameras; all times are camera 1's."""
 
-    R: Array  # (3, 3), x2 = R x1 + t
-    t: Array  # (3,) [m]
+    R: np.ndarray  # (3, 3), x2 = R x1 + t
+    t: np.ndarray  # (3,) [m]
     path: BSpline  # time [s] -> position of the object in camera 1's frame [m]
     duration_s: float
     cam2: Camera = CAMERA
 
     @property
-    def rig(self) -> Rig:
+    def rig(self):
         T_2_1 = np.eye(4)
         T_2_1[:3, :3], T_2_1[:3, 3] = self.R, self.t
         return Rig(CAMERA, self.cam2, T_2_1)
 
     @property
-    def unknown_rig(self) -> Rig:
+    def unknown_rig(self):
         return Rig(CAMERA, self.cam2)
 
 
-def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> Scene:
+def make_scene(seed, angle_deg=90.0, duration_s=20.0):
     """A scene with camera 2 turned about the vertical axis by `angle_deg`."""
     rng = np.random.default_rng(seed)
     angle = np.deg2rad(angle_deg)
@@ -61,21 +58,19 @@ def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> 
     return Scene(R, t, BSpline(knots, control, 5), duration_s)
 
 
-def project(points_m: Array, K: Array = K) -> Array:
+def project(points_m, K=K):
     """Ideal pixel coordinates of points (..., 3) in a camera's own frame [m]."""
     homogeneous = points_m @ K.T
-    return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
+    return homogeneous[..., :2] / homogeneous[..., 2:]
 
 
-def track_pair(scene: Scene, times_s: Array) -> tuple[Array, Array]:
+def track_pair(scene, times_s):
     """The object's true image positions (N, 2) [px] in both views at the same instants."""
     points_1 = scene.path(times_s)
     return project(points_1), project(points_1 @ scene.R.T + scene.t, scene.cam2.K)
 
 
-def make_events(
-    scene: Scene, seed: int, t_d_s: float = 0.0, rate_hz: float = 25_000.0, size_m: float = 0.8
-) -> tuple[NDArray[np.void], NDArray[np.void]]:
+def make_events(scene, seed, t_d_s=0.0, rate_hz=25_000.0, size_m=0.8):
     """Events of both cameras; camera 2's clock reads `t_d_s` more than camera 1's."""
     rng = np.random.default_rng((seed, 1))
     cloud = rng.uniform(-size_m / 2, size_m / 2, (60, 3))
@@ -95,9 +90,7 @@ def make_events(
     return streams[0], streams[1]
 
 
-def events_at(
-    times_s: Array, points_px: Array, size: tuple[int, int] = (WIDTH, HEIGHT)
-) -> NDArray[np.void]:
+def events_at(times_s, points_px, size=(WIDTH, HEIGHT)):
     """OFF events at the pixels of those points (n, 2) that are in view."""
     pixels = np.rint(points_px)
     seen = np.all((pixels >= 0) & (pixels < size), axis=1)
@@ -107,23 +100,23 @@ def events_at(
     return events
 
 
-def clocked(events: NDArray[np.void], clock: Callable[[Array], Array]) -> NDArray[np.void]:
+def clocked(events, clock):
     """Events of a clock that shows clock(t) [us] in place of t."""
     moved = events.copy()
     moved["t"] = np.rint(clock(events["t"].astype(np.float64)))
     return moved
 
 
-def denoised(events: NDArray[np.void]) -> Clean:
+def denoised(events):
     """Wrap events without noise as if they had been denoised."""
     return Clean(events, camera=CAMERA, denoised=True, n_recorded=len(events))
 
 
-def angle_deg(a: Array, b: Array) -> float:
+def angle_deg(a, b):
     cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def rotation_angle_deg(R: Array, S: Array) -> float:
+def rotation_angle_deg(R, S):
     """Angle of the rotation R' S."""
     return float(np.degrees(np.arccos(np.clip((np.trace(R.T @ S) - 1.0) / 2.0, -1.0, 1.0))))

@@ -1,19 +1,17 @@
 """Synthetic tracks of one flight by two frame cameras, and their files."""
 
-from pathlib import Path
-
 import numpy as np
 import yaml
 
 from ssac import PointTrack
 from ssac.files.track_files import save_track
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, project
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, project
 
 NOISE_PX = 0.3  # of labels
 FPS = (30.0, 25.0)
 
 
-def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=0) -> PointTrack:
+def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=0):
     """Label each frame in which the object is in the image.
 
     The clock shows rate (t + offset) at the flight's time t; row y is exposed readout y / (h - 1)
@@ -33,7 +31,7 @@ def frame_track(scene, camera, fps, offset_s=0.0, rate=1.0, readout_s=0.0, seed=
     return PointTrack((rate * (shown_s + offset_s))[inside], points[inside])
 
 
-def frame_tracks(scene, t_d_s, rate=1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)) -> list[PointTrack]:
+def frame_tracks(scene, t_d_s, rate=1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)):
     """Two cameras' tracks of one flight; camera 2's clock shows rate (t + t_d)."""
     one, other = readouts_s
     return [
@@ -42,7 +40,7 @@ def frame_tracks(scene, t_d_s, rate=1.0, readouts_s=(0.0, 0.0), seeds=(1, 2)) ->
     ]
 
 
-def rig_document(**keys) -> dict:
+def rig_document(**keys):
     """A camchain of two cameras alike; `keys` go to both."""
     camera = {
         "camera_model": "pinhole",
@@ -54,7 +52,7 @@ def rig_document(**keys) -> dict:
     return {"cam0": dict(camera), "cam1": dict(camera)}
 
 
-def save_pair(folder: Path, scene: Scene, t_d_s: float, readout_s: float = 0.0) -> Path:
+def save_pair(folder, scene, t_d_s, readout_s=0.0):
     for k, track in enumerate(frame_tracks(scene, t_d_s, readouts_s=(readout_s, 0.0)), start=1):
         save_track(folder / f"cam{k}.csv", track)
     document = rig_document()

@@ -66,11 +66,11 @@ def module(tmp_path, monkeypatch):
     sys.modules.pop("greeting_of_a_test", None)
 
 
-def ssac(*args: str) -> int:
+def ssac(*args):
     return run(command_line(ENTRIES, "What it is."), args, "ssac")
 
 
-def helped(capsys, *args: str) -> str:
+def helped(capsys, *args):
     assert ssac(*args) == DONE
     return " ".join(capsys.readouterr().out.split())
 
@@ -332,7 +332,7 @@ def test_a_name_that_is_not_utf_8_can_be_printed():
     assert process.returncode == 0
 
 
-def guarded_process(body: str, **options) -> subprocess.Popen:
+def guarded_process(body, **options):
     code = f"""
 import sys
 from ssac.cli.exits import guarded
@@ -409,7 +409,7 @@ finally:
 """
 
 
-def ran(*args: object):
+def ran(*args):
     """Run a module's command line; return the process, its imports, and BLAS's thread count."""
     command = [sys.executable, "-c", RUN, *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

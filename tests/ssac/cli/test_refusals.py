@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ TEXTS = {
 
 
 @pytest.fixture(scope="module")
-def folder(recorded, tmp_path_factory) -> Path:
+def folder(recorded, tmp_path_factory):
     """Events of all kinds, and in `tracks` tracks of all kinds."""
     folder = tmp_path_factory.mktemp("refused")
     for name in ("cam1.h5", "cam2.h5", "rig.yaml"):

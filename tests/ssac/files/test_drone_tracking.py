@@ -78,7 +78,6 @@ def test_of_data_set_4_labelled_frames_are_kept_and_a_name_without_a_number_is_r
 
 
 def run_pairs(data, work, numbers):
-    """Return the tables of all pairs of some data sets."""
     return tracks.pair_tables(tracks.data_sets(data, work, lambda line: None, numbers))
 
 

@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import ssac
-from ssac import Answer, ClockJump, Estimate, PointTrack, SsacError, Status
+from ssac import ClockJump, Estimate, PointTrack, SsacError, Status
 from ssac.camera import Camera, distort_points
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
@@ -45,7 +45,7 @@ from tests.ssac.tracks import frame_track, frame_tracks
 
 
 @pytest.fixture(scope="module")
-def answer(recorded) -> Answer:
+def answer(recorded):
     return ssac.sync(*recorded.pair, recorded / "rig.yaml", "ssac").answer
 
 
@@ -54,17 +54,17 @@ def result(recorded):
     return ssac.sync(*recorded.pair, recorded / "rig.yaml")
 
 
-def changed(answer: Answer, **changes) -> Answer:
+def changed(answer, **changes):
     return replace(answer, estimate=replace(answer.estimate, **changes))
 
 
-def told(answer: Answer, **changes):
+def told(answer, **changes):
     """Return the text and the JSON report of an answer whose estimate is changed."""
     other = changed(answer, **changes)
     return report_text(other), report_json(other)
 
 
-def used(answer: Answer, *objects: ObjectsUsed) -> Answer:
+def used(answer, *objects):
     pairs = zip(answer.cleans, objects, strict=True)
     return replace(answer, cleans=tuple(replace(seen, used=said) for seen, said in pairs))
 
