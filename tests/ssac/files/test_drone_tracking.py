@@ -63,9 +63,7 @@ def test_a_data_set_becomes_tracks_and_a_rig(data, tmp_path):
         np.testing.assert_array_equal(camera.K, K)
 
 
-def test_of_data_set_4_labelled_frames_are_kept_and_a_name_without_a_number_is_refused(
-    data, tmp_path
-):
+def test_the_number_in_a_folders_name_tells_which_data_set_it_is(data, tmp_path):
     shutil.copytree(data, tmp_path / "data")
     folder = (tmp_path / "data" / "dataset2").rename(tmp_path / "data" / "dataset4")
     for camera, fps in zip(import_data_set(folder, tmp_path / "out"), FPS, strict=True):
