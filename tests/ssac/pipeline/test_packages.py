@@ -64,7 +64,7 @@ def chain():
     return Chain([*seen], scene.rig)
 
 
-def install(folder: Path, package: str, entry: str, source: str = GOOD, version: str = "1.2"):
+def install(folder, package, entry, source=GOOD, version="1.2"):
     """Write a module, and the metadata that an installer writes, into a folder of sys.path."""
     (folder / f"{package}.py").write_text(source)
     info = folder / f"{package}-{version}.dist-info"
@@ -209,9 +209,7 @@ def test_values_that_mean_the_same_as_those_of_an_estimate_become_those(site, ch
     result.report(tmp_path / "page.html")
 
 
-def test_a_crash_is_said_to_be_the_packages_and_in_a_table_it_is_a_row_that_says_so(
-    site, chain, recorded, tmp_path, monkeypatch
-):
+def test_a_crash_is_the_packages_and_a_row_of_a_table(site, chain, recorded, tmp_path, monkeypatch):
     helper = "import numpy as np\ndef helper(): return np.linalg.inv(np.zeros((2, 2)))\n"
     install(site, "fragile", "mine = fragile:estimate", helper + GOOD.replace("0.25", "helper()"))
     for module in ("ssac.pipeline.registry", "experiments.lab.scored"):
@@ -274,9 +272,7 @@ KNOWN = of(Input.TRACKS, needs_extrinsics=True)
 """
 
 
-def test_what_a_method_gets_is_clean_and_stays_so_and_more_only_if_it_asks(
-    site, recorded, monkeypatch
-):
+def test_a_method_gets_what_is_clean_and_more_only_if_it_asks(site, recorded, monkeypatch):
     names = ("tracks", "frames", "known")
     for name in names:
         install(site, name, f"{name} = {name}:{name.upper()}", LOOKING)
@@ -337,7 +333,7 @@ def example(tmp_path_factory):
     return folder, grid, method_object
 
 
-def code_blocks(text: str, language: str) -> list[str]:
+def code_blocks(text, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
@@ -361,7 +357,7 @@ def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path
     assert found["t_d_s"] == pytest.approx(0.25, abs=1e-9)  # a whole number of its steps
 
 
-def test_the_example_finds_the_offset_of_equal_tracks(example, site):
+def test_the_example_takes_tracks_and_all_offsets_of_a_straight_path_for_an_interval(example, site):
     """Bug: it asked for what the motion of events alone has."""
     source = (example[0] / "track_speed.py").read_text()
     install(site, "track_speed", "track_speed = track_speed:track_speed", source)
@@ -371,12 +367,7 @@ def test_the_example_finds_the_offset_of_equal_tracks(example, site):
     chain = Chain([tracked(one), tracked(few)], scene.rig)
     found = chain.estimate(Registry()["track_speed"])
     assert (found.status, found.t_d_s) == ("ok", pytest.approx(0.25, abs=1e-9))  # whole steps
-
-
-def test_a_search_of_all_offsets_of_a_straight_path_is_an_interval_to_every_method(example, site):
-    """Bug: a method that gave its config to two_views was refused for both."""
-    source = (example[0] / "track_speed.py").read_text()
-    install(site, "track_speed", "track_speed = track_speed:track_speed", source)
+    # Bug: a method that gave its config to two_views was refused where all offsets were searched.
     scene = replace(flights.scene_of(flights.straight), duration_s=10.0)
     chain = Chain([*map(tracked, frame_tracks(scene, 0.3))], scene.unknown_rig)
     for method in (Registry()["track_speed"], METHODS["joint"]):
