@@ -7,6 +7,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from typing import NamedTuple
 from unittest.mock import patch
 
+import pytest
+
 from ssac.cli.__main__ import main
 from ssac.screen import columns
 
@@ -28,7 +30,4 @@ def run(*args, code=0):
 
 
 def read_json(path):
-    def refuse(constant):
-        raise ValueError(f"{constant} is not JSON")
-
-    return json.loads(path.read_text(), parse_constant=refuse)
+    return json.loads(path.read_text(), parse_constant=pytest.fail)  # NaN is not JSON

@@ -143,9 +143,7 @@ def test_bad_usage_is_one_line(args, line, capsys):
 @pytest.mark.parametrize(
     ("typed", "place", "shown"), [("ssac gr", 1, "greet"), ("ssac greet --l", 2, "--loud")]
 )
-def test_a_shell_completes_names_without_importing_and_options(
-    typed, place, shown, capsys, monkeypatch
-):
+def test_a_shell_completes_names_and_options(typed, place, shown, capsys, monkeypatch):
     monkeypatch.setenv("_SSAC_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", typed)
     monkeypatch.setenv("COMP_CWORD", str(place))
@@ -171,22 +169,17 @@ GIVEN = {
     "n_min": 11,
     "neighbours": 3,
 }
-CASES = [
-    pytest.param(command, name, option, id=f"{command.__name__}-{name}")
-    for command in (sync, paths)
-    for name, option in command.OPTIONS.items()
-    if option.field
-]
 
 
-@pytest.mark.parametrize(("command", "name", "option"), CASES)
-def test_an_option_sets_its_field_and_no_other(command, name, option):
-    defaults = {key: one.parameter[1] for key, one in command.OPTIONS.items()}
-    assert config_of(command.OPTIONS, defaults) == Config()
-    changed = config_of(command.OPTIONS, defaults | {name: GIVEN[name]})
-    value = GIVEN[name] if option.value is None else option.value
-    assert getattr(changed, option.field) == value != getattr(Config(), option.field)
-    assert changed == Config(**{option.field: value})
+@pytest.mark.parametrize("options", [sync.OPTIONS, paths.OPTIONS], ids=["sync", "track"])
+def test_an_option_sets_its_field_and_no_other(options):
+    defaults = {name: option.parameter[1] for name, option in options.items()}
+    assert config_of(options, defaults) == Config()
+    for name in (name for name, option in options.items() if option.field):
+        changed, option = config_of(options, defaults | {name: GIVEN[name]}), options[name]
+        value = GIVEN[name] if option.value is None else option.value
+        assert getattr(changed, option.field) == value != getattr(Config(), option.field)
+        assert changed == Config(**{option.field: value})
 
 
 def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
@@ -228,9 +221,7 @@ def test_lines_come_at_each_tenth_and_every_30_s(
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])
-def test_a_terminal_has_a_bar_and_elsewhere_nothing_is_written_over(
-    is_terminal, capsys, monkeypatch
-):
+def test_only_a_terminal_has_a_bar_that_is_written_over(is_terminal, capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
     for total, is_shown in ((0, True), (5, False)):
         with progress(total, "flights", is_shown=is_shown) as advance:

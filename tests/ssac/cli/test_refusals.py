@@ -44,15 +44,13 @@ def folder(recorded, tmp_path_factory):
     (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
     (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
     events = load_events(recorded / "cam1.h5").events
-    save_events_h5(folder / "events_only.h5", events, WIDTH, HEIGHT)
     for k in range(2):
         alone = noise(WIDTH, HEIGHT, 5.0, 500_000, k)
         save_events_h5(folder / f"noise{k}.h5", alone, WIDTH, HEIGHT)
     topics = {"/left": arrays(events[:300]), "/right": mono(events[:300])}
     write_bag(folder / "both.bag", topics)
     write_bag(folder / "one.bag", {"/left": topics["/left"]})
-    where = "camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n3,0,1,0\n"
-    (folder / "where.csv").write_text(where)
+    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n3,0,1,0\n")
     tracks = folder / "tracks"
     tracks.mkdir()
     save_pair(tracks, make_scene(1), 7.3)
@@ -86,7 +84,7 @@ EVENTS = [
     ("cam2.h5", "cam2.h5: given for both cameras"),
     ("cam1.h5 --search -1e9 1e9", "--search: expected a smaller and a larger offset"),
     ("cam1.h5 --search 0 4000", "at most 3600 seconds apart, got 0 4000"),
-    ("events_only.h5 --method zncc_f", "events_only.h5: zncc_f compares intensity frames"),
+    ("noise0.h5 --method zncc_f", "noise0.h5: zncc_f compares intensity frames"),
     ("cam1.h5 --clock quartz", "--clock: expected auto or affine or pieces, got quartz"),
     ("cam1.h5 --clock pieces --skew-prior 0", "its prior must be above 0 ppm"),
     ("cam1.h5 --json no/such/out.json", "out.json: not a file in a folder that exists"),

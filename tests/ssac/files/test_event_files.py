@@ -244,23 +244,21 @@ def test_an_event_stream_that_lost_its_start_gives_a_warning(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "events", "size"),
+    ("name", "text", "events"),
     [
-        ("a.txt", "0.000001 10 20 1\n1.5\t11  21 0\n", [(1, 10, 20, 1), (1_500_000, 11, 21, 0)],
-         (None, None)),
-        ("a.txt", "1.5 11 21 -1\n", [(1_500_000, 11, 21, 0)], (None, None)),
-        ("a.csv", "x,y,p,id,t\n10,20,1,7,100\n", [(100, 10, 20, 1)], (None, None)),
-        ("a.csv", "\ufefft,x@346,y@260,p\n100,1,2,1\n", [(100, 1, 2, 1)], (346, 260)),
-        ("a.csv", "t,x,y,p\n100,1,2,1,\n200,3,4,0,\n", [(100, 1, 2, 1), (200, 3, 4, 0)],
-         (None, None)),
-        ("a.txt", "\ufeff346 260\n1e-4 1 2 1\n", [(100, 1, 2, 1)], (346, 260)),
+        ("a.txt", "0.000001 10 20 1\n1.5\t11  21 0\n", [(1, 10, 20, 1), (1_500_000, 11, 21, 0)]),
+        ("a.txt", "1.5 11 21 -1\n", [(1_500_000, 11, 21, 0)]),
+        ("a.csv", "x,y,p,id,t\n10,20,1,7,100\n", [(100, 10, 20, 1)]),
+        ("a.csv", "\ufefft,x@346,y@260,p\n100,1,2,1\n", [(100, 1, 2, 1)]),
+        ("a.csv", "t,x,y,p\n100,1,2,1,\n200,3,4,0,\n", [(100, 1, 2, 1), (200, 3, 4, 0)]),
+        ("a.txt", "\ufeff346 260\n1e-4 1 2 1\n", [(100, 1, 2, 1)]),
     ],
-)  # fmt: skip
-def test_text_as_others_write_it(tmp_path, name, text, events, size):
+)
+def test_text_as_others_write_it(tmp_path, name, text, events):
     (tmp_path / name).write_text(text, encoding="utf-8")
     file = load_events(tmp_path / name)
     assert file.events.tolist() == events
-    assert (file.width, file.height) == size
+    assert (file.width, file.height) == ((346, 260) if "346" in text else (None, None))
 
 
 # --- What is refused ---

@@ -228,9 +228,7 @@ def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
 
-def test_an_estimate_without_a_pose_has_its_curve_only_and_one_of_nothing_no_picture(
-    result, tmp_path
-):
+def test_without_a_pose_there_is_the_curve_alone_and_of_nothing_no_picture(result, tmp_path):
     refused = of(result, Estimate("albl", "too_few_samples", "few"))
     assert refused.plotted(tmp_path / "page.png") == []
     assert refused.plot() is None
