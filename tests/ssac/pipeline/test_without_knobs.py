@@ -49,7 +49,6 @@ def camera_of(focal_px=200.0, pu_px=173.0, pv_px=130.0):
 
 
 def longer(share):
-    """Return a camera whose focal lengths are longer by this share."""
     return camera_of(200.0 * (1.0 + share))
 
 
@@ -63,8 +62,12 @@ def events():
 
 @pytest.fixture(scope="module")
 def right(events):
-    """The estimate with the true rig."""
     return ssac.sync(*events, [CAMERA, CAMERA]).estimate
+
+
+def check(result, t_d_s=T_D_S, status=Status.OK):
+    assert result.status == status
+    assert abs(result.t_d_s - t_d_s) < 4.0 * result.t_d_std_s
 
 
 @pytest.mark.parametrize(
@@ -81,12 +84,12 @@ def test_clocks_that_are_far_apart_or_fast_are_found_and_are_no_jump(later_s, sk
     one, other = make_events(scene, 1, T_D_S, 20_000.0, 0.1)
     moved = clocked(other, lambda t: (1.0 + 1e-6 * skew_ppm) * t + 1e6 * later_s)
     result = ssac.sync(one, moved, [CAMERA, CAMERA])
-    assert result.status == Status.OK
     if skew_ppm:
+        assert result.status == Status.OK
         assert abs(result.skew_ppm - skew_ppm) < 4.0 * result.skew_std_ppm
         assert "prior deviation of 1000 ppm" in result.to_dict()["note"]
     else:
-        assert abs(result.t_d_s - T_D_S - later_s) < 4.0 * result.t_d_std_s
+        check(result, T_D_S + later_s)
 
 
 def test_a_track_at_another_rate_is_found():
@@ -129,10 +132,7 @@ def test_a_track_whose_clock_jumps_by_much_is_refused_with_time_and_size(size_s)
 
 def test_few_events_are_enough_where_there_is_no_noise():
     scene = make_scene(2, duration_s=8.0)
-    one, other = make_events(scene, 2, T_D_S, 300.0, 0.1)
-    result = ssac.sync(one, other, [CAMERA, CAMERA])
-    assert result.status == Status.OK
-    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+    check(ssac.sync(*make_events(scene, 2, T_D_S, 300.0, 0.1), [CAMERA, CAMERA]))
 
 
 @pytest.mark.parametrize(
@@ -219,8 +219,8 @@ def test_a_network_doubts_the_camera_that_all_contradicted_pairs_share(pairs, do
 
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     result = ssac.sync(*events, [longer(0.6), UNSTATED])
-    assert result.status == Status.DEGENERATE_POSE
-    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s < 1e-3
+    check(result, status=Status.DEGENERATE_POSE)
+    assert result.t_d_std_s < 0.25e-3
     assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to within a few
 
 
@@ -229,8 +229,7 @@ def test_exchanged_intrinsics_are_named_beside_the_offset(std_px):
     scene = replace(SCENE, cam2=longer(0.6))
     exchanged = [replace(one, intrinsics_std_px=std_px) for one in (longer(0.6), UNSTATED)]
     result = ssac.sync(*make_events(scene, 1, T_D_S, 20_000.0, 0.1), exchanged)
-    assert result.status == Status.DEGENERATE_POSE
-    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+    check(result, status=Status.DEGENERATE_POSE)
     assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
 
 
@@ -285,9 +284,7 @@ def test_a_short_flight_is_answered(seed):
     short = make_events(make_scene(seed, duration_s=2.5), seed, T_D_S, 20_000.0, 0.1)
     near = ssac.sync(*short, [CAMERA, CAMERA], search="interval")
     assert near.status == Status.TOO_LITTLE_MOTION
-    result = ssac.sync(*short, [CAMERA, CAMERA])
-    assert result.status == Status.OK
-    assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+    check(ssac.sync(*short, [CAMERA, CAMERA]))
 
 
 def test_what_an_interval_contradicts_needs_more_to_agree_elsewhere():
@@ -298,8 +295,7 @@ def test_what_an_interval_contradicts_needs_more_to_agree_elsewhere():
     last["t"] -= 5_500_000
     mixed = np.concatenate([last, foreign[foreign["t"] >= 2_600_000]])
     assert ssac.sync(one, mixed, [CAMERA, CAMERA]).status == Status.NO_MATCH
-    everywhere = ssac.sync(one, mixed, [CAMERA, CAMERA], search="all")
-    assert abs(everywhere.t_d_s - T_D_S + 5.5) < 4.0 * everywhere.t_d_std_s
+    check(ssac.sync(one, mixed, [CAMERA, CAMERA], search="all"), T_D_S - 5.5)
 
 
 def test_it_is_said_how_far_focal_lengths_turn_the_pose(events, right):
@@ -308,21 +304,17 @@ def test_it_is_said_how_far_focal_lengths_turn_the_pose(events, right):
     assert 0.02 * right.per_focal_deg[0] == pytest.approx(turned_deg, rel=0.2)  # to first order
 
 
-def test_a_principal_point_outside_of_the_image_is_told(events):
-    few = [one[:100] for one in events]  # the note depends on the rig alone
-    note = ssac.sync(*few, [camera_of(pu_px=473.0), UNSTATED]).note
-    assert "camera 1's principal point, (473, 130) px, lies outside of its image" in note
-
-
-def test_an_exchanged_principal_point_is_put_right_and_said_unless_its_deviation_is_stated(events):
+def test_a_principal_point_outside_is_told_and_an_exchanged_one_put_right_unless_stated(events):
     exchanged = [UNSTATED, camera_of(pu_px=130.0, pv_px=173.0)]
     usual, found = ssac.sync(*events, [UNSTATED, UNSTATED]), ssac.sync(*events, exchanged)
     assert (found.status, found.t_d_s) == (Status.OK, usual.t_d_s)
     np.testing.assert_array_equal(found.R, usual.R)
     assert "camera 2's principal point, (130, 173) px in the rig" in found.note
     assert "taken for (173, 130) px" in found.note
-    stated = ssac.sync(*[one[:100] for one in events], exchanged, centre_std_px=1.0)  # too few
-    assert "principal point" not in stated.note
+    few = [one[:100] for one in events]  # notes depend on the rig alone
+    assert "principal point" not in ssac.sync(*few, exchanged, centre_std_px=1.0).note
+    outside = ssac.sync(*few, [camera_of(pu_px=473.0), UNSTATED]).note
+    assert "camera 1's principal point, (473, 130) px, lies outside of its image" in outside
 
 
 @pytest.mark.parametrize("seen_hz", [150.0, 0.0])
@@ -335,8 +327,7 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     ]
     result = ssac.sync(*noisy, [CAMERA, CAMERA])
     if seen_hz:
-        assert result.status == Status.OK
-        assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+        check(result)
         assert "followed through the noise" in result.to_dict()["note"]
     else:
         assert result.status == Status.NO_MOTION
@@ -354,10 +345,10 @@ def test_faint_cameras_of_a_network_are_event_cameras_whichever_pair_is_refused(
         for seed, one in enumerate((faint[0][:0], *faint))
     ]
     blind, first, other = ssac.sync(seen, [CAMERA] * 3).cameras
-    assert (blind.status, first.status, other.status) == (Status.NO_MATCH, Status.OK, Status.OK)
+    assert (blind.status, first.status) == (Status.NO_MATCH, Status.OK)
+    check(other)
     assert other.readout_std_s == 0.0
     assert other.skew_std_ppm <= 50.0
-    assert abs(other.t_d_s - T_D_S) < 4.0 * other.t_d_std_s
 
 
 def other_ways(found, seen, asked=PLAIN, method="joint"):
@@ -402,7 +393,7 @@ def test_less_is_filtered_where_noise_may_explain_a_refusal(
 @pytest.mark.parametrize("status", ["ambiguous_offset", "degenerate_pose", "poor_fit"])
 def test_outlines_are_seen_over_longer_windows_too_and_means_are_not(events, status):
     """If offsets tie, means may prefer a wrong one, as `joint` did on circles and helices."""
-    seen = tuple(denoised(one) for one in events)
+    seen = tuple(map(denoised, events))
     for method, is_tried in (("tangency", True), ("joint", False)):
         found = Estimate(method, Status(status), "why", t_d_std_s=1e-4)  # else t_d is vague, too
         ways = other_ways(found, seen, method=method)
