@@ -376,13 +376,13 @@ def test_nothing_that_files_say_becomes_html(result):
 
 
 def test_a_refusal_has_a_page_that_says_what_to_do_and_with_f_what_was_tried(result):
-    no_pose, no_offset, tried = {"R": None, "t": None}, {"t_d_s": np.nan}, {"costs": np.empty(0)}
+    no_offset, no_curve = {"t_d_s": np.nan}, {"costs": np.empty(0)}
     for status, less in (
-        (Status.NO_MATCH, no_offset | tried | {"F": None}),
-        (Status.DEGENERATE_POSE, tried),
+        (Status.NO_MATCH, no_offset | no_curve | {"F": None}),
+        (Status.DEGENERATE_POSE, no_curve),
         (Status.POOR_FIT, no_offset),
     ):
-        answer = changed(result.answer, status=status, reason="why", **no_pose, **less)
+        answer = changed(result.answer, status=status, **less, **NO_POSE)
         text = "".join(check_page(page_of(answer)).text)
         assert f"What mostly helps: {status.remedy}." in text
         assert ("In part" if status.has_offset else "Refused") in text
