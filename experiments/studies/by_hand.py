@@ -34,7 +34,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
-from experiments.studies.imperfect import ImperfectRow, given_columns, held_shares
+from experiments.studies.imperfect import ImperfectRow, given_columns, held
 from experiments.worlds.spoilt import GOOD, RIGHT, T_D_S, Errors, Kind, spoilt_pair
 from sim.disturb import DisturbConfig, second_seed
 from sim.effects.config import SENSOR_PRESETS
@@ -128,9 +128,11 @@ def drawn(base: int, flight: int, far: float = 0.5) -> HandCell:
     distance_m = round(_log_uniform(rng, *draw.distance_m), 1)
     size_px = round(_log_uniform(rng, *draw.size_px), 1)
     sensor = str(rng.choice(draw.sensors))
+    near_s, far_s = rng.uniform(-1.0, 1.0), _log_uniform(rng, 1.0, 3600.0) * rng.choice((-1, 1))
+    is_far = rng.random() < (far if draw.far is None else draw.far)
     sim = SimConfig(
         angle_deg=angle_deg,
-        t_d_s=_offset_s(rng, far if draw.far is None else draw.far),
+        t_d_s=round(float(far_s if is_far else near_s), 6),
         spline=_spline(rng, duration_s, distance_m, size_px),
         drone_size_m=round(size_px * distance_m / draw.focal_px, 3),
         distance_m=distance_m,
@@ -152,11 +154,6 @@ def drawn(base: int, flight: int, far: float = 0.5) -> HandCell:
 
 def _log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _offset_s(rng: Rng, far: float) -> float:
-    near_s, far_s = rng.uniform(-1.0, 1.0), _log_uniform(rng, 1.0, 3600.0) * rng.choice((-1, 1))
-    return round(float(far_s if rng.random() < far else near_s), 6)
 
 
 def _spline(rng: Rng, duration_s: float, distance_m: float, size_px: float) -> SplineConfig:
@@ -385,7 +382,8 @@ def _judged(runs: pd.DataFrame) -> dict[str, Any]:
 
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
-    shares, _ = held_shares(default, HELD)
+    shares, _ = held(default, HELD, as_shares=True)
+    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
     return {
         "recordings": len(default),
         "answered": int(given.sum()),
@@ -393,20 +391,12 @@ def _counts(default: pd.DataFrame) -> dict[str, Any]:
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
         **shares,
         "beyond": int(default["is_beyond"].sum()),
-        "worst": _worst(default),
+        "worst": f"{default['flight'][off.idxmax()]}: {off.max():.1f}" if off.notna().any() else "",
         "refused": _listed(default["status"][~given]),
         "settings": _listed(default["settings"].explode()),
         "cpu_s_median": default["cpu_s"].median(),
         "cpu_s_most": default["cpu_s"].max(),
     }
-
-
-def _worst(default: pd.DataFrame) -> str:
-    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
-    if off.isna().all():
-        return ""
-    flight = default["flight"].iloc[int(np.nanargmax(off))]
-    return f"{flight}: {off.max():.1f}"
 
 
 def _listed(words: "pd.Series[Any]") -> str:
@@ -441,8 +431,8 @@ def hand_figure(table: pd.DataFrame) -> Figure:
     greys = ("0.0", "0.5", "1.0")  # beside each other, as one may be at another's place
     for k, ((name, quantity), grey) in enumerate(zip(HELD.items(), greys, strict=True)):
         look = {"marker": "Ds^"[k], "color": grey, "mec": "black", "ms": 4, "ls": "none"}
-        held, beside = 100.0 * table[f"{name}_held"], places + 0.28 * (k - 1)
-        axes.plot(held, beside, label=quantity.label, **look)
+        beside = places + 0.28 * (k - 1)
+        axes.plot(100.0 * table[f"{name}_held"], beside, label=quantity.label, **look)
     axes.axvline(95.0, color="0.6", lw=0.8, zorder=1, label="95 %")
     left.set_yticks(places, [_SHOWN_AS.get(kind, kind) for kind in table["kind"]])
     left.set_xlabel("recordings [%]")

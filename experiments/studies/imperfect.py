@@ -114,9 +114,8 @@ def imperfect_cells() -> list[KindCell]:
             flight = FIRST_FLIGHT + ROUND_STEP * number + index
             angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
             sim = replace(SCENES[scene], angle_deg=angle_deg)
-            flights = (flight, flight + OTHER_FLIGHT)
             kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
-            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES)
+            cells += spoilt.kind_cells(sim, flight, OTHER_FLIGHT, kinds, METHOD_NAMES)
     return cells
 
 
@@ -171,38 +170,31 @@ def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:
     posed = {"pose_given": int(runs["pose_given"].astype(bool).sum())}
-    shares, wrong = held_shares(runs, HELD)
+    shares, wrong = held(runs, HELD, as_shares=True)
     return answers(runs) | posed | shares | {"confident_wrong": int(wrong.sum())}
-
-
-def held_shares(
-    runs: pd.DataFrame, quantities: Mapping[str, Quantity]
-) -> tuple[dict[str, float], Mask]:
-    """Return what `held` does, but `<name>_held` as a share of `<name>_given`."""
-    counts, wrong = held(runs, quantities)
-    for name in quantities:
-        n_given = counts[f"{name}_given"]
-        counts[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
-    return counts, wrong
 
 
 def answers(runs: pd.DataFrame) -> dict[str, Any]:
     """Count the runs, those with an offset, and the statuses of the others."""
     given = runs["offset_given"].astype(bool)
-    refused = runs.loc[~given, "status"].value_counts()
-    statuses = " ".join(f"{status}:{count}" for status, count in sorted(refused.items()))
-    return {"runs": len(runs), "answered": int(given.sum()), "refused": statuses}
+    refused = counted(runs["status"][~given].value_counts().sort_index())
+    return {"runs": len(runs), "answered": int(given.sum()), "refused": refused}
 
 
-def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, float], Mask]:
-    """Count `<name>_given` and `<name>_held` of quantities; mark confidently wrong runs (n,)."""
-    counts, wrong = dict[str, float](), np.zeros(len(runs), bool)
-    for name, quantity in quantities.items():
-        levels = quantity.levels(runs)
-        counts[f"{name}_given"] = int(np.isfinite(levels).sum())
-        counts[f"{name}_held"] = int(np.sum(levels <= LEVEL))
-        wrong |= levels > chdtr(1, MAX_SIGMAS**2)
-    return counts, wrong
+def counted(counts: "pd.Series[int]") -> str:
+    """List words and their counts."""
+    return " ".join(f"{word}:{count}" for word, count in counts.items())
+
+
+def held(
+    runs: pd.DataFrame, quantities: Mapping[str, Quantity], as_shares: bool = False
+) -> tuple[dict[str, float], Mask]:
+    """Count `<name>_given` and `<name>_held`, or its share; mark confidently wrong runs (n,)."""
+    levels = pd.DataFrame({name: one.levels(runs) for name, one in quantities.items()})
+    given, n_held = levels.notna().sum(), (levels <= LEVEL).sum()
+    columns = {"given": given, "held": n_held / given if as_shares else n_held}
+    counts = {f"{name}_{what}": of[name] for name in quantities for what, of in columns.items()}
+    return counts, (levels > chdtr(1, MAX_SIGMAS**2)).any(axis=1).to_numpy()
 
 
 def page_table(results: Results) -> str:

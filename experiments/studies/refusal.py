@@ -28,7 +28,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import by_group, made_of, quoted, quoted_of
 from experiments.paper.esim import ANGLES_DEG
 from experiments.studies.by_hand import right
-from experiments.studies.imperfect import ALL, ImperfectRow, given_columns
+from experiments.studies.imperfect import ALL, ImperfectRow, counted, given_columns
 from experiments.worlds import open_flights
 from experiments.worlds.open_flights import CAUSES, KINDS, Cause, OpenCase, Scene
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
@@ -74,7 +74,7 @@ def refusal_cells() -> list[KindCell]:
             angle_deg = ANGLES_DEG[(2 * index + k) % len(ANGLES_DEG)]
             sim = open_flights.flight_config(path, angle_deg)
             kinds = [name for name, kind in KINDS.items() if kind.path == path]
-            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES)
+            cells += kind_cells(sim, flight, OTHER_FLIGHT, kinds, METHOD_NAMES)
     return cells
 
 
@@ -124,25 +124,18 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     """
 
     def row(group: pd.DataFrame) -> dict[str, Any]:
-        given, statuses = group[group["offset_given"]], group["status"].value_counts()
+        given = group[group["offset_given"]]
         return {
             "runs": len(group),
-            "statuses": " ".join(f"{status}:{count}" for status, count in statuses.items()),
+            "statuses": counted(group["status"].value_counts()),
             "offset_given": len(given),
-            "pose_given": int(group["pose_given"].sum()),
-            "truth_among_offsets": int(group["truth_among_offsets"].sum()),
+            **group[["pose_given", "truth_among_offsets"]].sum(),
             "t_d_error_ms_worst": given["t_d_error_ms"].max(),
             "error_sigmas_worst": given["error_sigmas"].max(),
-            "confident_wrong": int(group["confident_wrong"].sum()),
+            "confident_wrong": group["confident_wrong"].sum(),
         }
 
     return by_group(runs, ("kind", "method"), row)
-
-
-def ordinary_answered(results: Results) -> str:
-    """Say how many runs on ordinary flights gave an offset."""
-    rows = results.rows("refusal", kind="ordinary")
-    return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
 
 
 # --- Whether refusals name their causes, and whether their advice works ---
@@ -231,7 +224,7 @@ def reason_cells(base: int = BASE, recordings: int = N_RECORDINGS) -> list[KindC
     for index in range(recordings):
         flight = REASONS_FIRST_FLIGHT + BASE_STEP * base + index
         sim = open_flights.flight_config(ORDINARY, ANGLES_DEG[index % len(ANGLES_DEG)])
-        cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), CAUSES, ["tangency"])
+        cells += kind_cells(sim, flight, OTHER_FLIGHT, CAUSES, ["tangency"])
     return cells
 
 
@@ -274,22 +267,20 @@ def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:
     offsets without a pose among them. `advised` are refusals with an advice, and `works` those of
     them that following it mended.
     """
-    return by_group(pd.concat([runs.assign(kind=ALL), runs]), ("kind",), _counts)
 
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        unnamed = group[~group["is_named"]]
+        return {
+            "recordings": len(group),
+            "named": len(group) - len(unnamed),
+            "right": unnamed["is_right"].sum(),
+            "wrong": (group["offset_given"] & ~group["is_right"]).sum(),
+            "advised": (group["advice"].fillna("") != "").sum(),
+            "works": group["works"].sum(),
+            "not_named": counted(unnamed["status"].value_counts()),
+        }
 
-def _counts(runs: pd.DataFrame) -> dict[str, Any]:
-    given, named = runs["offset_given"].astype(bool), runs["is_named"].astype(bool)
-    is_right, advised = runs["is_right"].astype(bool), runs["advice"].fillna("") != ""
-    statuses = runs.loc[~named, "status"].value_counts()
-    return {
-        "recordings": len(runs),
-        "named": int(named.sum()),
-        "right": int((is_right & ~named).sum()),
-        "wrong": int((given & ~is_right).sum()),
-        "advised": int(advised.sum()),
-        "works": int(runs["works"].astype(bool).sum()),
-        "not_named": " ".join(f"{status}:{count}" for status, count in statuses.items()),
-    }
+    return by_group(pd.concat([runs.assign(kind=ALL), runs]), ("kind",), row)
 
 
 def share(results: Results, columns: Sequence[str], of: str) -> str:
@@ -310,7 +301,9 @@ STUDIES = (
         (made_of("refusal.csv", refusal_table, "refusal_runs"),),
         numbers={
             "refusal.recordings": lambda of: str(len(of.rows("refusal_runs", method="joint"))),
-            "refusal.ordinary": ordinary_answered,
+            "refusal.ordinary": lambda of: "{offset_given} of {runs}".format(
+                **of.rows("refusal", kind=ORDINARY)[["offset_given", "runs"]].sum()
+            ),
             **{f"refusal.wrong.{m}": _WRONG(method=m) for m in METHOD_NAMES},
         },
         config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},

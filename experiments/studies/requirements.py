@@ -21,6 +21,7 @@ from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted, records, shown_table, statistics
 from experiments.paper.esim import ANGLES_DEG
+from experiments.scenes.options import changed
 from experiments.studies import imperfect
 from experiments.studies.coverage import QUANTITIES, Quantity
 from experiments.worlds import spoilt
@@ -189,8 +190,7 @@ def required_cells() -> list[RequiredCell]:
                 if required.kind.scene == scene
                 and (index < FEW or not required.kind.disturb.noise_hz)
             ]
-            flights = (flight, flight + OTHER_FLIGHT)
-            cells += spoilt.kind_cells(of_angle, flights, kinds, (METHOD,))
+            cells += spoilt.kind_cells(of_angle, flight, OTHER_FLIGHT, kinds, (METHOD,))
     return [RequiredCell(**vars(cell)) for cell in cells]
 
 
@@ -202,8 +202,7 @@ def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:
     if required.skew_prior_ppm is not None:
         config = replace(config, skew_prior_ppm=required.skew_prior_ppm)
     if cell.kind in UNSTATED:  # what these do to an estimate that does not question them
-        verdict = replace(config.rules.verdict, max_against=1e3)
-        config = replace(config, rules=replace(config.rules, verdict=verdict))
+        config = changed(config, {"rules.verdict.max_against": 1e3})
     start_s = time.process_time()
     estimate = pair.chain(config).estimate(METHOD)
     cpu_s = time.process_time() - start_s
@@ -231,12 +230,8 @@ def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
 
 def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
     """Return how far t_d [ms], R and t [deg] are from the estimate with exact intrinsics."""
-
-    def exactly() -> Estimate:
-        pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
-        return pair.chain().estimate(METHOD)
-
-    exact = flown.made("exact", exactly)
+    pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
+    exact = flown.made("exact", lambda: pair.chain().estimate(METHOD))
     if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:
         return {}
     return {

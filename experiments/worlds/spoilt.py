@@ -7,6 +7,7 @@ draws where they lie, and what else varies from flight to flight.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -55,13 +56,13 @@ class KindCell(FlightCell):
 
 
 def kind_cells(
-    sim: SimConfig, flights: tuple[int, int], kinds: Iterable[str], methods: Sequence[str]
+    sim: SimConfig, flight: int, step: int, kinds: Iterable[str], methods: Sequence[str]
 ) -> list[KindCell]:
-    """List every method on every kind; `flights` are the flight's number and the other flight's."""
-    seed, other = (flight_seed(sim.spline.duration_s, sim.angle_deg, one) for one in flights)
-    return [
-        KindCell(sim, flights[0], seed, kind, other, method) for kind in kinds for method in methods
-    ]
+    """List every method on every kind of a flight; `step` leads to the number of the other one."""
+    numbers = flight, flight + step
+    seed, other = (flight_seed(sim.spline.duration_s, sim.angle_deg, one) for one in numbers)
+    every = product(kinds, methods)
+    return [KindCell(sim, flight, seed, kind, other, method) for kind, method in every]
 
 
 @dataclass(frozen=True)
