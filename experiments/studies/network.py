@@ -11,6 +11,7 @@ cameras. Each is solved as `ssac sync` of its files does, in a process of its ow
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -33,9 +34,9 @@ from experiments.lab.summary import answered, by_group, digits, made_of, shown_t
 from experiments.lab.verify import between, follows, one_of
 from experiments.scenes.simulate import ManyCameras
 from experiments.studies.imperfect import HELD, held
-from experiments.studies.outdoor import PlacedRow, placed_errors, true_track
+from experiments.studies.outdoor import CALM, PlacedRow, placed_errors, true_track
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
+from sim.scene.trajectory import Trajectory, random_spline
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import Array
 from ssac.cli.options import number
@@ -117,12 +118,8 @@ class Flown:
 
 def cells(flights: Flights = N_FLIGHTS) -> list[CameraCell]:
     """List every camera of each flight and kind."""
-    return [
-        CameraCell(FOUR_CAMERAS, flight, FIRST_SEED + flight, kind, camera)
-        for flight in range(flights)
-        for kind in KINDS
-        for camera in range(1, N_CAMERAS + 1)
-    ]
+    every = product(range(flights), KINDS, range(1, N_CAMERAS + 1))
+    return [CameraCell(FOUR_CAMERAS, n, FIRST_SEED + n, kind, camera) for n, kind, camera in every]
 
 
 def load_flight(cells: Sequence[CameraCell], cache: Cache) -> Flown:
@@ -278,13 +275,7 @@ _SHORT_S = 20.0
 _TOOK = ("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb")
 _GROWN_ERRORS = ("t_d_error_ms", "path_rmse_m")
 _OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks: largest offset, deviation of skews
-_SPLINE = SplineConfig(
-    sampling_hz=1.0,
-    segments_per_s=1.0,
-    smoothing=2.0,  # s^3: turns within some seconds, at 5 m/s or so
-    multiplier_xyz_m=(24.0, 24.0, 10.0),
-    max_radius_m=20.0,
-)
+_SPLINE = replace(CALM, multiplier_xyz_m=(24.0, 24.0, 10.0), max_radius_m=20.0)
 
 
 @dataclass(frozen=True)

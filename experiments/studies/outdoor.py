@@ -33,8 +33,8 @@ from experiments.lab.study import Made, Runs, Study
 from experiments.lab.summary import by_group, held, made_of, shown_table
 from experiments.lab.verify import between, ordered
 from sim.disturb import View, clouds, merged
-from sim.recording import SimConfig
-from sim.scene.rig import kalibr_yaml, two_view_rig
+from sim.recording import SimConfig, two_view_rig_of
+from sim.scene.rig import kalibr_yaml
 from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
@@ -75,6 +75,9 @@ LEVER_ARM_M = (0.05, 0.0, 0.12)  # RTK's antenna in the body: forward, left, up
 _RTK_HZ = 5.0
 _RTK_STD_M = (0.01, 0.01, 0.02)
 _RTK_CLOCK = Clock(18.4, 5.0)  # beside camera 1's
+CALM = SplineConfig(sampling_hz=1.0, segments_per_s=1.0, smoothing=2.0)
+"""Smoothing in s^3: turns within some seconds, at 5 m/s or so."""
+
 FIRST_SEED = 76_000  # nothing was chosen on these; those from 71,000 on were looked at
 _STREAM = 97  # of what is drawn beside the recording
 _BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
@@ -114,8 +117,11 @@ class OutdoorCell(PlainCell):
     @property
     def recordings(self) -> tuple[Flight, ...]:
         """The recording of cameras 1 and 2, and of cameras 1 and 3 if there is a third."""
-        thirds = (third_config(self.config),) if self.kind == THREE_CAMERAS else ()
-        return tuple((config, seed_of(self.flight)) for config in (self.config, *thirds))
+        configs = [self.config]
+        if self.kind == THREE_CAMERAS:  # camera 2 is as far from camera 1 as from camera 3
+            clock: dict[str, Any] = {"t_d_s": THIRD_T_D_S, "skew_ppm": THIRD_SKEW_PPM}
+            configs.append(replace(self.config, angle_deg=2.0 * self.config.angle_deg, **clock))
+        return tuple((config, seed_of(self.flight)) for config in configs)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -168,27 +174,23 @@ def load_outdoor(cells: Sequence[OutdoorCell], cache: Cache) -> tuple[Path, ...]
 
 def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
     """Find clocks, pose and path as the cell's kind says, and compare them with the truth."""
-    truths, path = truths_of(folders), None
+    truths, path, t_std_deg = truths_of(folders), None, np.nan
     truth = truths[0]
     found: Estimate | CameraAnswer
     if cell.kind in (TWO_AT_ONCE, THREE_CAMERAS):
         answer = at_once(folders, truths, cell)
         row, found = OutdoorRow(str(answer.status), answer.reason), answer.cameras[1]
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
-            path = answer.paths[0].path
+            path, t_std = answer.paths[0].path, np.asarray(found.t_std)
+            t_std_deg = float(np.rad2deg(np.linalg.norm(t_std)))
     else:
         found, path = estimated(folders[0], truth, cell)
-        row = OutdoorRow(str(found.status), found.reason)
+        row, t_std_deg = OutdoorRow(str(found.status), found.reason), found.t_std_deg
     if path is None:
         return row
-    std_deg = (
-        found.t_std_deg
-        if isinstance(found, Estimate)
-        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
-    )
     shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
     placed = placed_errors(found, shown_s, truth.clock.skew_ppm, truth.R, truth.t)
-    return replace(row, **placed, t_std_deg=std_deg, **_path_errors(path, truth, cell.flight))
+    return replace(row, **placed, t_std_deg=t_std_deg, **_path_errors(path, truth, cell.flight))
 
 
 def placed_errors(
@@ -294,11 +296,6 @@ def means(flights: pd.DataFrame) -> dict[str, Any]:
     return {"answered": len(given), "of": len(flights), **given[MEASURED].mean()}
 
 
-def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
-    """Return the recording of which the figure is drawn."""
-    return ((outdoor_config(duration), seed_of(0)),)
-
-
 def first_flight(_: Results, folder: Path) -> Figure | None:
     """Draw the first flight, all adjusted at once, beside its RTK; None if it was refused."""
     from ssac.pipeline.plots import draw_comparison
@@ -345,32 +342,17 @@ def page_table(results: Results) -> str:
 
 def outdoor_config(duration_s: float = DURATION_S) -> SimConfig:
     """Give the simulated set-up."""
-    spline = SplineConfig(
-        duration_s=duration_s,
-        sampling_hz=1.0,
-        segments_per_s=1.0,
-        smoothing=2.0,  # s^3: turns within some seconds, at 5 m/s or so
-        multiplier_xyz_m=(14.0, 36.0, 10.0),
-        multiplier_rot_rad=(0.5, 0.5, 2.0),
-        max_radius_m=24.0,
-    )
+    box_m = (14.0, 36.0, 10.0)
     return SimConfig(
         angle_deg=float(np.rad2deg(2.0 * np.arcsin(BASELINE_M / (2.0 * DISTANCE_M)))),
         t_d_s=T_D_S,
         skew_ppm=SKEW_PPM,
-        spline=spline,
+        spline=replace(CALM, duration_s=duration_s, multiplier_xyz_m=box_m, max_radius_m=24.0),
         drone_size_m=0.5,
         distance_m=DISTANCE_M,
         focal_px=FOCAL_PX,
         sensor=PRESETS["davis346"],
         frames=FrameConfig(rate_hz=0.0),
-    )
-
-
-def third_config(config: SimConfig) -> SimConfig:
-    """Give the set-up of cameras 1 and 3; camera 2 is as far from the one as from the other."""
-    return replace(
-        config, angle_deg=2.0 * config.angle_deg, t_d_s=THIRD_T_D_S, skew_ppm=THIRD_SKEW_PPM
     )
 
 
@@ -399,23 +381,20 @@ def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
     cameras = []
     for _ in range(3):
         focal_px = float(config.focal_px * (1.0 + rng.normal(0.0, FOCAL_STD)))
-        off_px, (u_px, v_px) = rng.normal(0.0, CENTRE_STD_PX, 2), config.principal_point
-        centre = (float(u_px + off_px[0]), float(v_px + off_px[1]))
-        cameras.append(replace(config, focal_px=focal_px, principal_point=centre))
+        u_px, v_px = (config.principal_point + rng.normal(0.0, CENTRE_STD_PX, 2)).tolist()
+        cameras.append(replace(config, focal_px=focal_px, principal_point=(u_px, v_px)))
     return tuple(cameras)
 
 
 def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
     """Write the estimator's rig; if the cameras' intrinsics differ, they are a calibration's."""
     exact = all(camera == cameras[0] for camera in cameras)
-    names = ("focal_px", "resolution", "principal_point")
     chain: dict[str, Any] = {}
     for n, camera in enumerate(cameras):
-        rig = two_view_rig(camera.angle_deg, **{name: getattr(camera, name) for name in names})
-        entry = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=False))["cam0"]
+        text = kalibr_yaml(two_view_rig_of(camera), with_extrinsics=False)
+        chain[f"cam{n}"] = yaml.safe_load(text)["cam0"]
         if not exact:
-            del entry["intrinsics_std"]  # a good calibration's are the default
-        chain[f"cam{n}"] = entry
+            del chain[f"cam{n}"]["intrinsics_std"]  # a good calibration's are the default
     path.write_text(yaml.safe_dump(chain), encoding="utf-8")
 
 
@@ -487,7 +466,8 @@ STUDIES = (
         Runs("outdoor.csv", ("flight", "kind"), numbered=False,
              columns=("flight", "kind", "status", *MEASURED, "reason")),
         (made_of("outdoor_oracle.csv", lambda of: by_group(of, ("kind",), means), "outdoor"),
-         Made("outdoor.png", first_flight, recordings=first_recording)),
+         Made("outdoor.png", first_flight, recordings=lambda duration=DURATION_S, **_:
+              OutdoorCell(0, TWO_AT_ONCE, duration).recordings)),
         numbers={"table.outdoor": page_table},
         checks=(("a median is no maximum", ordered("outdoor", "median_m", "max_m")),
                 ("shares are shares", between("outdoor", "coverage", 0.0, 1.0))),
