@@ -194,28 +194,23 @@ def _pair_faults(results: Results) -> Iterator[str]:
 
 
 def _triple_faults(results: Results) -> Iterator[str]:
-    pairs, most_ms = results.table(PAIRS), dict[Key, float]()
-    for number in DATA_SETS:
-        of_set = pairs[(pairs["data_set"] == number) & pairs["status"].isin(OFFSET_GIVEN)]
-        numbers = of_set[["t_d_s", "skew_ppm", "t_ref_s"]].fillna({"skew_ppm": 0.0}).to_numpy()
-        clocks = {key[1:]: Clock(*one) for key, one in zip(_keys(of_set), numbers, strict=True)}
-        affine = {key[1:] for key in _keys(of_set[of_set["clock"] == "affine"])}
-        closures_ms = {triple: 1e3 * s for triple, s in closures_s(clocks).items()}
-        rows = results.table(TRIPLES).query(f"data_set == {number}")
-        if list(rows["cameras"]) != ["-".join(map(str, triple)) for triple in closures_ms]:
-            yield "not each triple of which all pairs are answered is there once"
-            return
-        for (triple, closes_ms), there_ms in zip(
-            closures_ms.items(), rows["closure_ms"], strict=True
-        ):
-            two_of_it = [*combinations(triple, 2)]
-            if affine.issuperset(two_of_it) and not abs(closes_ms - there_ms) <= _CLOSURE_MS:
-                yield f"data set {number}, {triple}: closes to {there_ms} ms, not as its pairs do"
-            for pair in two_of_it:
-                key = (number, *pair)
-                most_ms[key] = max(most_ms.get(key, 0.0), abs(there_ms))
-    if set(results.table(TRIPLES)["data_set"]) - {*DATA_SETS}:
-        yield "it has triples of no data set"
+    pairs, triples, most_ms = results.table(PAIRS), results.table(TRIPLES), dict[Key, float]()
+    given = pairs[pairs["status"].isin(OFFSET_GIVEN)].fillna({"skew_ppm": 0.0})
+    affine, expected = {*_keys(given[given["clock"] == "affine"])}, dict[tuple[Any, ...], float]()
+    for number, of_set in given.groupby("data_set"):
+        numbers = of_set[["t_d_s", "skew_ppm", "t_ref_s"]].to_numpy()
+        of_pairs = zip(_keys(of_set), numbers, strict=True)
+        clocks = {(i, j): Clock(*one) for (_, i, j), one in of_pairs}
+        expected |= {(number, *triple): 1e3 * s for triple, s in closures_s(clocks).items()}
+    there = list(zip(triples["data_set"], triples["cameras"], strict=True))
+    if there != [(number, "-".join(map(str, triple))) for number, *triple in expected]:
+        yield "not each triple of which all pairs are answered is there once"
+        return
+    for (key, closes_ms), there_ms in zip(expected.items(), triples["closure_ms"], strict=True):
+        keys = [(key[0], *pair) for pair in combinations(key[1:], 2)]
+        if affine.issuperset(keys) and not abs(closes_ms - there_ms) <= _CLOSURE_MS:
+            yield f"data set {key[0]}, {key[1:]}: closes to {there_ms} ms, not as its pairs do"
+        most_ms |= {one: max(most_ms.get(one, 0.0), abs(there_ms)) for one in keys}
     yield from _unlike(pairs, "closure_ms", most_ms, np.nan)
 
 

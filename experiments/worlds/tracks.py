@@ -16,10 +16,9 @@ import numpy as np
 import pandas as pd
 
 from ssac.arrays import Array
-from ssac.clock import Clock
 from ssac.config import SKEW_PRIOR_PPM, Config
 from ssac.errors import SsacError
-from ssac.estimate import Estimate, Status
+from ssac.estimate import Status
 from ssac.files.drone_tracking import ImportedCamera, import_data_set
 from ssac.network import tum
 from ssac.network.comparison import Comparison, compare
@@ -189,15 +188,21 @@ def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Ans
 
 def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
     """Make the tables of pairs, triples and strays of data sets, by name."""
-    pairs, triples, strays = list[Row](), list[Row](), list[Row]()
+    pairs, triples, strays = list[Row](), list[Row](), list[tuple[float, ...]]()
     for one in sets:
-        clocks = {pair: _clock(one.pairs[pair]) for pair in one.pairs}
-        found = closures_s({pair: clock for pair, clock in clocks.items() if clock is not None})
+        clocks = {
+            pair: replace(of.estimate.clock, t_ref_s=_t_ref_s(of))  # even of a mere offset
+            for pair, of in one.pairs.items()
+            if of.guess is not None and of.estimate.has_offset
+        }
+        found = closures_s(clocks)
         for pair, result in one.pairs.items():
             mine = [1e3 * abs(s) for triple, s in found.items() if set(pair) <= set(triple)]
-            row = _pair_row(one, pair) | {"closure_ms": max(mine, default=np.nan)}
-            pairs.append(row)
-            strays += _strays(row, result.estimate)
+            pairs.append(_pair_row(one, pair) | {"closure_ms": max(mine, default=np.nan)})
+            estimate = result.estimate
+            strays_ms = 1e3 * estimate.strays_s, 1e3 * estimate.strays_std_s
+            knots = zip(estimate.knots_s, *strays_ms, strict=True)
+            strays += [(one.number, *pair, *knot) for knot in knots]
         triples += [
             {"data_set": one.number, "cameras": "-".join(map(str, triple)), "closure_ms": 1e3 * s}
             for triple, s in found.items()
@@ -207,13 +212,6 @@ def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
         "real_triples": pd.DataFrame(triples, columns=TRIPLE_COLUMNS),
         "real_strays": pd.DataFrame(strays, columns=STRAY_COLUMNS),
     }
-
-
-def _clock(result: Answer) -> Clock | None:
-    """Return a pair's clock, with a reference time even of a mere offset; None if refused."""
-    if result.guess is None or not result.estimate.has_offset:
-        return None
-    return replace(result.estimate.clock, t_ref_s=_t_ref_s(result))
 
 
 def _t_ref_s(result: Answer) -> float:
@@ -264,13 +262,6 @@ def _effect_of_readouts(result: Answer) -> Row:
         "by_readouts_ms": 1e3 * (result.estimate.t_d_s - other.t_d_s),
         "global_std_ms": 1e3 * other.t_d_std_s,
     }
-
-
-def _strays(row: Row, estimate: Estimate) -> list[Row]:
-    pair = {name: row[name] for name in STRAY_COLUMNS[:3]}
-    columns = estimate.knots_s, 1e3 * estimate.strays_s, 1e3 * estimate.strays_std_s
-    knots = zip(*columns, strict=True)
-    return [pair | dict(zip(STRAY_COLUMNS[3:], knot, strict=True)) for knot in knots]
 
 
 # --- The path of all cameras ---
