@@ -27,8 +27,7 @@ from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of, markdown_table, records
-from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, StepCell
-from experiments.machine.parts import PART, PARTS, Measurement, PartCell
+from experiments.machine import PART, PARTS, POINTS, STEP, STEPS, Measurement, PartCell, StepCell
 from ssac.estimate import Status
 
 _TOOK = ("wall_s", "cpu_s", "peak_mb")
@@ -118,7 +117,7 @@ _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 def growth_figure(table: pd.DataFrame) -> Figure:
     """Draw time and memory on logarithmic axes: a colour is a step, and a marker a sensor."""
-    colors = {SIMULATE: "0.6", SYNCHRONISE: ACCENT}
+    colors = dict(zip(STEPS, ("0.6", ACCENT), strict=True))
     figure, (both,) = panels("How run time and memory grow with the recording", 4.4, columns=2)
     table = table.assign(events_per_camera=1e-6 * table["events_per_camera"])
     measured = table[table["wall_s"].notna()]

@@ -7,12 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments import machine
 from experiments.lab.cache import Cache
 from experiments.lab.results import Results, csv_text, png_bytes
 from experiments.lab.schedule import Workers, run_cells, run_task
-from experiments.machine import growth, parts
-from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
-from experiments.machine.parts import PART, PartCell
+from experiments.machine import PART, POINTS, STEP, STEPS, PartCell, Point, StepCell
 from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
@@ -47,11 +46,11 @@ def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -
 
 @pytest.mark.render
 def test_renderers_and_methods_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parts, "N_POSES", 20)
-    monkeypatch.setattr(parts, "REPEATS", 1)
-    monkeypatch.setattr(parts, "OURS", [METHODS["joint"], METHODS["zncc_f"]])
+    monkeypatch.setattr(machine, "N_POSES", 20)
+    monkeypatch.setattr(machine, "REPEATS", 1)
+    monkeypatch.setattr(machine, "OURS", [METHODS["joint"], METHODS["zncc_f"]])
     short = SimConfig(spline=SplineConfig(duration_s=3.0))
-    rows = [*parts.bench_rendering(), *parts.bench_sync(short)]
+    rows = [*machine.bench_rendering(), *machine.bench_sync(short)]
     names = [f"sync, {name}: all but reading" for name in ("joint", "zncc_f")]
     assert [row.name for row in rows[2:]] == names
     assert [np.isfinite(row.mark) for row in rows] == [False, True, False, False]
@@ -101,11 +100,11 @@ def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None
 def test_steps_of_a_point_are_measured_or_say_why_not(tmp_path, monkeypatch) -> None:
     def synced(*files: Path) -> SimpleNamespace:
         assert all(file.exists() for file in files)
-        return SimpleNamespace(estimate=Estimate("tangency", t_d_s=growth.T_D_S + 1e-3))
+        return SimpleNamespace(estimate=Estimate("tangency", t_d_s=machine.T_D_S + 1e-3))
 
     tiny, none = Point(96, 72, 60.0, 0.5, 1e4), Point(0, 0, 60.0, 0.5, 1e4)
-    monkeypatch.setattr(growth, "POINTS", (tiny,))
-    monkeypatch.setattr(growth, "sync", synced)
+    monkeypatch.setattr(machine, "POINTS", (tiny,))
+    monkeypatch.setattr(machine, "sync", synced)
     cells = [*(StepCell(tiny, step) for step in STEPS), StepCell(none, STEPS[0])]
     runs = run_cells(cells, Cache(tmp_path), Workers(1), measure=STEP).runs
     table = growth_table(runs, Results(Path()))

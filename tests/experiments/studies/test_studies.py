@@ -16,7 +16,7 @@ from experiments.lab.provenance import write_provenance
 from experiments.lab.results import Results, csv_text
 from experiments.lab.study import How
 from experiments.lab.verify import cells_of, study_findings
-from experiments.machine.parts import measured_cells
+from experiments.machine import measured_cells
 from experiments.paper.esim import table_cells
 from experiments.studies import all_studies, figures, physical
 from experiments.studies.ablations import ABLATIONS

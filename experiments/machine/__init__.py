@@ -1,1 +1,0 @@
-"""Benchmarks of the speed and memory of each part, measured in one run."""
