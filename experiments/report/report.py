@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +23,7 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import CacheOption
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE, Results, save_text
-from experiments.lab.score import Score, score
+from experiments.lab.score import score
 from experiments.lab.summary import answered, digits
 from experiments.paper.comparison import VERDICTS
 from experiments.paper.esim import ERRORS, esim_tables
@@ -33,7 +32,6 @@ from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
 from ssac.cli.options import named
 from ssac.errors import SsacError
-from ssac.estimate import Estimate
 from ssac.pipeline import html_report
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.plots import d_avg_px
@@ -129,31 +127,28 @@ def headline(runs: pd.DataFrame, compared: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class Animation:
-    """The player's data, and the estimate that it shows."""
+def make_animation(folder: Path) -> dict[str, Any]:
+    """Return the player's data, and the estimate that it shows, by the names in the template.
 
-    estimate: Estimate
-    errors: Score
-    before_px: float  # d_avg with the clocks as recorded
-    after_px: float  # d_avg with the estimated offset
-    player: dict[str, Any]
-
-
-def make_animation(folder: Path) -> Animation:
-    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead."""
+    The recording has t_d = 0, and its camera 2 is set T_D_S ahead. `before_px` and `after_px` are
+    d_avg with the clocks as recorded and with the estimated offset.
+    """
     recorded = folder / "cam1.h5", folder / "cam2.h5"
     answer = Chain(recorded, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
     estimate = answer.estimate
     answers = {(0, 1): answer}
-    player = html_report.player_of(answers, html_report.seen_by(answers), tour=True)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    errors = score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"]))
     before_px, after_px = d_avg_px(answer, np.array([0.0, estimate.t_d_s])).tolist()
-    return Animation(estimate, errors, before_px, after_px, player)
+    return {
+        "estimate": estimate,
+        "errors": score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"])),
+        "before_px": before_px,
+        "after_px": after_px,
+        "player": html_report.player_of(answers, html_report.seen_by(answers), tour=True),
+    }
 
 
-def report_page(content: dict[str, Any], animation: Animation) -> str:
+def report_page(content: dict[str, Any], animation: dict[str, Any]) -> str:
     """Render the page of `read_results` and an animation; the same input gives the same bytes."""
     environment = html_report.environment(PackageLoader("experiments.report", "page"))
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
@@ -162,9 +157,7 @@ def report_page(content: dict[str, Any], animation: Animation) -> str:
     environment.filters["words"] = _words
     environment.globals["json"] = partial(json.dumps, indent=1)
     return environment.get_template("results_page.html").render(
-        content,
-        animation=animation,
-        player=animation.player,
+        content | animation,
         angle_deg=FLIGHT.angle_deg,
         true_ms=1e3 * T_D_S,
         method=METHOD,
