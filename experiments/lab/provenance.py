@@ -10,13 +10,12 @@ from typing import Any
 
 from llvmlite.binding import get_host_cpu_name
 
-from experiments.lab.code import package_versions
+from experiments.lab.code import ROOT, package_versions
 from experiments.lab.results import PROVENANCE, save_text
 from sim.render.gl_context import GLContext
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh",
              "pandas", "matplotlib", "pillow")  # fmt: skip
-_ROOT = Path(__file__).resolve().parents[2]
 
 
 def plain(value: Any) -> Any:
@@ -47,7 +46,7 @@ def code_commit() -> str:
     try:
         commit, changed = (
             subprocess.run(
-                ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
+                ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
             ).stdout.strip()
             for arguments in (head, status)
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
 from sim.errors import SimError
-from sim.recorded import CameraRecording, Flight, Recording
+from sim.recorded import Flight, Recording
 from sim.recording import SimConfig
 from sim.scene.drone import drone_from_file
 from ssac.arrays import Array
@@ -171,7 +171,12 @@ def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:
 
 def observations(recording: Recording) -> tuple[Observation, Observation]:
     """Return what the first two cameras recorded, without any ground truth."""
-    first, second = (_observation(camera) for camera in recording.cameras[:2])
+    first, second = (
+        Observation(one.events, one.frames.images, one.frames.times_us.astype(np.float64) * 1e-6)
+        if len(one.frames.images)
+        else Observation(one.events)
+        for one in recording.cameras[:2]
+    )
     return first, second
 
 
@@ -193,10 +198,3 @@ def check_mesh(path: Path) -> None:
             drone_from_file(path)
         except SimError as error:
             raise SsacError(str(error)) from error
-
-
-def _observation(recording: CameraRecording) -> Observation:
-    frames = recording.frames
-    if not len(frames.images):
-        return Observation(recording.events)
-    return Observation(recording.events, frames.images, frames.times_us.astype(np.float64) * 1e-6)

@@ -11,8 +11,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -151,7 +150,9 @@ def png_bytes(figure: "Figure") -> bytes:
 
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
     """Update the checksums of some files and of their provenances; those of other files stay."""
-    with _alone(folder):
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until the file is closed, against other commands
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
         for path in paths:
             beside = path.with_suffix(PROVENANCE)
@@ -160,6 +161,8 @@ def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
         kept = {name: digest for name, digest in sums.items() if (folder / name).exists()}
         lines = [f"{digest}  {name}\n" for name, digest in sorted(kept.items())]
         save_text(folder / SUMS_FILE, "".join(lines))
+    finally:
+        os.close(lock)
 
 
 def read_checksums(folder: Path) -> dict[str, str]:
@@ -181,14 +184,3 @@ def read_checksums(folder: Path) -> dict[str, str]:
 def sha256(path: Path) -> str:
     """Return the SHA-256 digest of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Lock a folder's checksums against changes by other commands."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)

@@ -47,7 +47,7 @@ def test_a_line_that_is_none_is_an_error(tmp_path, line):
 
 
 def test_changed_code_makes_the_commit_dirty_and_results_do_not(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.code_commit() == "unknown"
 
