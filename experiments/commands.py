@@ -10,16 +10,7 @@ import typer
 
 from experiments.lab.again import draw, recomputed, sources_of
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
-from experiments.lab.command import (
-    CacheOption,
-    Chosen,
-    SchedulerOption,
-    ShardOption,
-    WorkersOption,
-    chosen,
-    run_studies,
-    running,
-)
+from experiments.lab.command import CacheOption, Chosen, WorkersOption, chosen, running
 from experiments.lab.grid import GridConfig, grid_from_content, load_config
 from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
 from experiments.lab.recorded import check_mesh
@@ -84,16 +75,13 @@ def ablate_command(
     return chosen(names or list(ABLATIONS), {**ABLATIONS, **own}, "ablation"), {}
 
 
+@running
 def sweep_command(
     config: Annotated[Path, argument("CONFIG", "TOML file of the grid (docs/sweeps.md).")],
     out: Annotated[
         Path | None, named("FILE", "CSV to write.  [default: results/<config>.csv]")
     ] = None,
-    shard: ShardOption = "1/1",
-    workers: WorkersOption = -1,
-    scheduler: SchedulerOption = "",
-    cache: CacheOption = DEFAULT_FOLDER,
-) -> None:
+) -> Chosen:
     """Run any grid over any parameters of simulator and estimator; one CSV row per run.
 
     Beside it stand a table of the grid's points, `<name>_cells.csv`, and a figure of that table.
@@ -101,8 +89,7 @@ def sweep_command(
     grid = _checked(load_config(config))
     out = out or Path("results") / f"{grid.name}.csv"
     _check_table(out)
-    study = sweep_study(grid, out.name, f"ssac sweep {config}")
-    run_studies([study], out.parent, Cache(cache), Workers(workers, scheduler), shard)
+    return [sweep_study(grid, out.name, f"ssac sweep {config}")], {"out": out.parent}
 
 
 def merge_command(

@@ -66,7 +66,8 @@ ALL_OPTIONS: Mapping[str, Parameter] = {
 }
 """Options shared by the commands that run studies, by name."""
 
-Chosen = tuple[Sequence[Study], Options]  # studies to run, and values of their options
+Chosen = tuple[Sequence[Study], Options]
+"""Studies to run, and values of their options; a value `out` is the folder for the results."""
 
 
 def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:
@@ -93,14 +94,15 @@ def running(
     choose: Callable[..., Chosen], shared: Sequence[str] = tuple(ALL_OPTIONS)
 ) -> Callable[..., None]:
     """Make a command from `choose`, which selects studies, and the shared options."""
-    own = [one.replace(kind=_KEYWORD) for one in signature(choose).parameters.values()]
-    parameters = own + [ALL_OPTIONS[name] for name in shared]
+    own = {k: v.replace(kind=_KEYWORD) for k, v in signature(choose).parameters.items()}
+    others = {name: ALL_OPTIONS[name] for name in shared if name not in own}
+    parameters = [*own.values(), *others.values()]
 
     def command(**given: Any) -> None:
-        studies, values = choose(**{one.name: given.pop(one.name) for one in own})
+        studies, values = choose(**{name: given[name] for name in own})
         workers = Workers(given.get("workers", 1), given.get("scheduler", ""))
         cache, shard = Cache(given["cache"]), given.get("shard", "1/1")
-        run_studies(studies, given["out"], cache, workers, shard, values)
+        run_studies(studies, values.get("out", given["out"]), cache, workers, shard, values)
 
     command.__doc__ = choose.__doc__
     command.__annotations__ = {one.name: one.annotation for one in parameters}
