@@ -10,15 +10,15 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mode
-from typing import Any
 
 import numpy as np
 import yaml
 
 from ssac.arrays import Array
-from ssac.camera import Camera, check_camera
+from ssac.camera import Camera, check_camera, with_deviations
 from ssac.errors import SsacError
 from ssac.files.damage import is_number, readable
+from ssac.files.rigs import camchain_entry
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import write_whole
 from ssac.points import PointTrack, check_track
@@ -44,7 +44,7 @@ class ImportedCamera:
     name: str  # camK, in its files and in the rig
     model: str
     fps: float  # frame rate [1/s] that its calibration states
-    rig: dict[str, Any]  # its entry in a camchain
+    camera: Camera
     track: PointTrack
     n_outside: int  # number of points outside the image, which are left out
 
@@ -76,30 +76,28 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
     out.mkdir(parents=True, exist_ok=True)
     for camera in cameras:
         save_track(out / f"{camera.name}.csv", camera.track)
-    rig = {camera.name: camera.rig for camera in cameras}
+    rig = {one.name: camchain_entry(one.camera) for one in cameras}
     write_whole(out / "rig.yaml", yaml.safe_dump(rig, sort_keys=False))
     return cameras
 
 
 def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
-    rig, fps = _calibration(folder.parent / "calibration" / model, model, number)
+    camera, fps = _calibration(folder.parent / "calibration" / model, model, number)
     path = folder / "detections" / f"{name}.txt"
     frames, points = _detections(path)
     step = KEYFRAMES.get(number, 1)
     seen = (points != 0.0).any(axis=1) & (frames % step == 1 % step)
-    size = np.array(rig["resolution"])
+    size = np.array([camera.width, camera.height])
     inside = np.all((points >= -0.5) & (points <= size - 0.5), axis=1)
     kept = seen & inside
     if not kept.any():
         raise SsacError(f"{path}: the object is seen in no frame: get the file again")
     track = PointTrack(frames[kept] / fps, points[kept])
-    width, height = rig["resolution"]
-    check_track(track, width, height, str(path))
-    return ImportedCamera(name, model, fps, rig, track, int(np.count_nonzero(seen & ~inside)))
+    check_track(track, camera.width, camera.height, str(path))
+    return ImportedCamera(name, model, fps, camera, track, int(np.count_nonzero(seen & ~inside)))
 
 
-def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any], float]:
-    """Return the camchain entry and the frame rate [1/s] of a camera model."""
+def _calibration(folder: Path, model: str, number: int) -> tuple[Camera, float]:
     name = OF_DATA_SET.get(model, (model, model))[number >= 3]
     path = folder / f"{name}.json"
     try:
@@ -110,22 +108,14 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
         fps = float(found["fps"])
         if not 0.0 < fps < np.inf:
             raise ValueError(f"{fps:g} frames a second")
-        fu, fv, pu, pv = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        camera = Camera(K, width, height, "radtan", tuple(coeffs))
     except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise SsacError(
             f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
             f"({type(error).__name__}: {error}): get the file again"
         ) from error
-    check_camera(Camera(K, width, height, "radtan", tuple(coeffs)), str(path))
-    entry = {
-        "camera_model": "pinhole",
-        "intrinsics": [fu, fv, pu, pv],
-        "distortion_model": "plumb_bob" if len(coeffs) == 5 else "radtan",
-        "distortion_coeffs": coeffs,
-        "resolution": [width, height],
-        "intrinsics_std": [FOCAL_STD * fu, FOCAL_STD * fv, CENTRE_STD_PX, CENTRE_STD_PX],
-    }
-    return entry, fps
+    check_camera(camera, str(path))
+    return with_deviations(camera, FOCAL_STD, CENTRE_STD_PX), fps
 
 
 def _detections(path: Path) -> tuple[Array, Array]:

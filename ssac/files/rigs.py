@@ -22,8 +22,6 @@ RIG_SUFFIXES = (".yaml", ".yml")
 LENGTH_UNITS = ("m", "first_baseline")
 """Values of a camera's `length_unit`: metre, or distance between the first two cameras placed."""
 
-_CAMERA = re.compile(r"cam\d+")
-
 
 class Step(NamedTuple):
     """The pose and the time offset of a camera n relative to an earlier camera of the chain."""
@@ -79,18 +77,7 @@ def save_rig(
     """
     chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
     for k, (camera, step) in enumerate(zip(cameras, steps, strict=True)):
-        has_k3 = camera.distortion_model == "radtan" and len(camera.distortion_coeffs) == 5
-        entry = chain[f"cam{k}"] = {
-            "camera_model": "pinhole",
-            "intrinsics": [*np.diag(camera.K)[:2].tolist(), *camera.K[:2, 2].tolist()],
-            "distortion_model": "plumb_bob" if has_k3 else camera.distortion_model,
-            "distortion_coeffs": list(camera.distortion_coeffs),
-            "resolution": [camera.width, camera.height],
-        }
-        if camera.states_intrinsics:
-            entry["intrinsics_std"] = list(camera.intrinsics_std_px)
-        if camera.readout_s is not None:
-            entry["readout_s"] = camera.readout_s
+        entry = chain[f"cam{k}"] = camchain_entry(camera)
         if step is not None:
             back, T, shift_s, in_metres = step
             entry[f"T_cn_cnm{back}"] = T.tolist()
@@ -103,6 +90,23 @@ def save_rig(
             lines.append(f"# ros2 run tf2_ros static_transform_publisher {place} {frames}")
     text = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
     write_whole(path, "\n".join([*lines, text]))
+
+
+def camchain_entry(camera: Camera) -> dict[str, Any]:
+    """Return a camera as it stands in a camchain, with what is stated beside its intrinsics."""
+    has_k3 = camera.distortion_model == "radtan" and len(camera.distortion_coeffs) == 5
+    entry: dict[str, Any] = {
+        "camera_model": "pinhole",
+        "intrinsics": [*np.diag(camera.K)[:2].tolist(), *camera.K[:2, 2].tolist()],
+        "distortion_model": "plumb_bob" if has_k3 else camera.distortion_model,
+        "distortion_coeffs": list(camera.distortion_coeffs),
+        "resolution": [camera.width, camera.height],
+    }
+    if camera.states_intrinsics:
+        entry["intrinsics_std"] = list(camera.intrinsics_std_px)
+    if camera.readout_s is not None:
+        entry["readout_s"] = camera.readout_s
+    return entry
 
 
 def check_resolution(
@@ -118,7 +122,7 @@ def check_resolution(
 
 def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig:
     keys = document if isinstance(document, Mapping) else ()
-    known = [key for key in keys if _CAMERA.fullmatch(str(key))]
+    known = [key for key in keys if re.fullmatch(r"cam\d+", str(key))]
     if not known:
         raise SsacError(
             f"{path}: expected a Kalibr camchain with cam0 and cam1, or an OpenCV stereo file: "
