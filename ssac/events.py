@@ -20,6 +20,9 @@ WRAP_S = 2**24 * 1e-6  # after which a 24-bit counter of microseconds wraps arou
 QUANTA_S = (0.010, 0.001)  # steps to which some recorders round times
 
 
+SizePx = tuple[int | None, int | None]  #: a sensor's width and height [px]; None: not known
+
+
 @dataclass(frozen=True)
 class EventFile:
     """What an event file holds: the events and, where the file says so, the sensor's size."""
@@ -190,10 +193,8 @@ def time_quantum_s(times_s: Array) -> float:
         return quantum_s
     steps = gaps_s / least_s
     rounding = max(1e-6, float(last_digits_s[-1]) / least_s)
-    is_even = is_whole(steps, rounding * steps) and not (
-        least_s < 1.5 * quantum_s and _alternate(np.rint(steps))
-    )
-    return 0.0 if is_even else quantum_s
+    is_cut = least_s < 1.5 * quantum_s and _alternate(np.rint(steps))
+    return quantum_s if is_cut or not is_whole(steps, rounding * steps) else 0.0
 
 
 def _alternate(steps: Array) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ssac.arrays import Events, IntArray, Mask, Pixels
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, EventFile, check_events
+from ssac.events import US_PER_S, EventFile, SizePx, check_events
 
 REPEATED = 32
 """Fewest equal words or events in a row that no sensor writes: a block was overwritten."""
@@ -147,7 +147,7 @@ def count_repeated(is_same: Mask) -> int:
 
 def checked_file(
     events: Events,
-    size_px: tuple[int | None, int | None],
+    size_px: SizePx,
     path: Path,
     reading: Reading,
     unit: str = "",
@@ -166,9 +166,7 @@ def checked_file(
     return EventFile(events, *size_px)
 
 
-def within(
-    events: Events, size_px: tuple[int | None, int | None], name: str, reading: Reading
-) -> Events:
+def within(events: Events, size_px: SizePx, name: str, reading: Reading) -> Events:
     """Leave out, with a warning, events outside the sensor, if `reading` allows damage."""
     if not reading.allow_damaged:
         return events
@@ -240,7 +238,6 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
 
 
 def _note_unit(events: Events, path: Path, unit: str) -> None:
-    """Warn if times seem to be in another unit."""
     n, span_s = len(events), float(np.ptp(events["t"])) / US_PER_S
     said = ""
     if span_s > LONGEST_S and n < _LEAST_HZ * span_s:

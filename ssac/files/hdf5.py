@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
+from ssac.events import EVENT_DTYPE, EventFile, SizePx, check_lengths, field_values
 from ssac.files.damage import STRICT, Reading, checked_file, readable, refuse_damaged, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
@@ -185,16 +185,14 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
 def _signs_of_loss(found: Any) -> list[str]:
     """List the parts of a dataset that are not stored, and would be read as zeros."""
     if found.chunks:
-        n_chunks = math.prod(
-            -(-length // at_once) for length, at_once in zip(found.shape, found.chunks, strict=True)
-        )
+        n_chunks = math.prod(-(-n // k) for n, k in zip(found.shape, found.chunks, strict=True))
         lost = n_chunks - found.id.get_num_chunks()
         return [f"{lost} of {n_chunks} blocks of {found.name[1:]} are lost"] if lost > 0 else []
     is_whole = found.id.get_storage_size() >= found.size * found.dtype.itemsize
     return [] if is_whole else [f"{found.name[1:]} is not stored"]
 
 
-def _sensor_size(file: h5py.File, path: Path) -> tuple[int | None, int | None]:
+def _sensor_size(file: h5py.File, path: Path) -> SizePx:
     """Return the sensor's width and height [px] from attributes; None where they are missing."""
     if "geometry" in file.attrs:
         geometry = file.attrs["geometry"]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ssac.arrays import Events, Mask
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, EventFile
+from ssac.events import EVENT_DTYPE, EventFile, SizePx
 from ssac.files.damage import (
     Reading,
     brief,
@@ -60,9 +60,7 @@ def load_makers_file(path: Path, reading: Reading, named: Path | None = None) ->
     return file
 
 
-def _decoded(
-    path: Path, reading: Reading, name: Path
-) -> tuple[Events, tuple[int | None, int | None]]:
+def _decoded(path: Path, reading: Reading, name: Path) -> tuple[Events, SizePx]:
     """Return all events, or those before the damage if allowed, and the sensor's size [px]."""
     import faery  # here, as it takes long: other formats do without it
 
@@ -73,11 +71,8 @@ def _decoded(
         try:
             blocks.extend(stream)
         except BaseException as error:  # a panic of the library is no Exception
-            if (
-                len(blocks) == 1
-                or not reading.allow_damaged
-                or isinstance(error, KeyboardInterrupt | SystemExit)
-            ):
+            is_end = isinstance(error, KeyboardInterrupt | SystemExit)
+            if is_end or len(blocks) == 1 or not reading.allow_damaged:
                 raise
             n_read = sum(map(len, blocks))
             warnings.warn(
@@ -102,9 +97,11 @@ def _undamaged(path: Path, reading: Reading, name: Path, folder: Path) -> Path:
         "dat": ("<u8", 2, _signs_of_dat),  # 2 bytes of a record's type and size
     }[encoding]
     words, n_rest = _words(path, np.dtype(dtype), n_about)
+    *counts, is_event = find(words)
+    counts.append(count_repeated((words[1:] == words[:-1]) & is_event[1:]))
     signs = [
         f"{count} {kind} ({100.0 * count / len(words):.2g} %)"
-        for count, kind in zip(find(words), _KINDS, strict=True)
+        for count, kind in zip(counts, _KINDS, strict=True)
         if count
     ]
     if n_rest:
@@ -157,8 +154,8 @@ def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
     return words, n_bytes % dtype.itemsize
 
 
-def _signs_of_evt2(words: Words) -> tuple[int, ...]:
-    """Count the signs of damage of each of the `_KINDS`."""
+def _signs_of_evt2(words: Words) -> tuple[int, int, int, Mask]:
+    """Count the signs of damage of the first three `_KINDS`; also tell which words are events."""
     kinds = words >> 28
     is_event, is_high = kinds <= 1, kinds == 0x8
     falls = -np.diff((words[is_high] & 0xFFFFFFF).astype(np.int64))
@@ -167,28 +164,26 @@ def _signs_of_evt2(words: Words) -> tuple[int, ...]:
     under_one = (n_high[1:] == n_high[:-1]) & (n_high[1:] > 0)
     n_back += np.count_nonzero((low[1:] < low[:-1]) & under_one)
     n_invalid = _meaningless(kinds, (0x0, 0x1, 0x8, 0xA, 0xE), (0xF,))
-    return n_invalid, n_back, 0, _repeated(words, is_event)
+    return n_invalid, n_back, 0, is_event
 
 
-def _signs_of_evt3(words: Words) -> tuple[int, ...]:
-    """Count as `_signs_of_evt2`."""
+def _signs_of_evt3(words: Words) -> tuple[int, int, int, Mask]:
     kinds = words >> 12
     steps = np.diff((words[kinds == 0x8] & 0xFFF).astype(np.int64)) & 0xFFF
     n_leaps = np.count_nonzero((steps > _SLACK_EVT3) & (steps < 0x800))
     if np.count_nonzero(steps == 0) * 10 < len(steps):
         n_leaps = 0  # the sensor writes time only when it changes: gaps are pauses
     n_invalid = _meaningless(kinds, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA, 0xE), (0x7, 0xF))
-    n_repeated = _repeated(words, np.isin(kinds, (0x0, 0x2, 0x3, 0x6)))  # y, x, x, time
-    return n_invalid, np.count_nonzero(steps >= 0x800), n_leaps, n_repeated
+    is_event = np.isin(kinds, (0x0, 0x2, 0x3, 0x6))  # y, x, x, time
+    return n_invalid, np.count_nonzero(steps >= 0x800), n_leaps, is_event
 
 
-def _signs_of_dat(words: Words) -> tuple[int, ...]:
-    """Count as `_signs_of_evt2`."""
+def _signs_of_dat(words: Words) -> tuple[int, int, int, Mask]:
     steps_us = np.diff((words & np.uint64(0xFFFFFFFF)).astype(np.int64))
     n_invalid = np.count_nonzero(words >> np.uint64(60) > 1)
     # After a larger fall the counter has wrapped around.
     n_back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
-    return n_invalid, n_back, 0, _repeated(words, np.ones(len(words), np.bool_))
+    return n_invalid, n_back, 0, np.ones(len(words), np.bool_)
 
 
 def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]) -> int:
@@ -197,11 +192,6 @@ def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]
     goes_on[:1] = False
     goes_on[1:] &= np.isin(kinds[:-1], (0xE, *going_on))
     return np.count_nonzero(~(np.isin(kinds, alone) | goes_on))
-
-
-def _repeated(words: Words, is_event: Mask) -> int:
-    """Count event words in runs of at least `REPEATED` equal words."""
-    return count_repeated((words[1:] == words[:-1]) & is_event[1:])
 
 
 def _signs_of_packets(path: Path) -> list[str]:

@@ -127,8 +127,10 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
         encoding = message.text().rstrip(b"\0").decode("ascii", "replace")
         order = ">" if message.number("B") else "<"
         forms.add((width, height, encoding))
-        if encoding == "mono":
-            blocks.append(_of_mono(message.text(), base_ns, order, str(path)))
+        if encoding == "mono":  # p (1 bit), y (15), x (16) and the time since `base_ns` (32) [ns]
+            bits = np.frombuffer(message.text(), order + "u8").astype(np.int64)
+            t_us, x, y = _us_from_ns(base_ns + (bits & 0xFFFFFFFF)), bits >> 32, bits >> 48
+            blocks.append(events_from_arrays(t_us, x & 0xFFFF, y & 0x7FFF, bits < 0, str(path)))
         elif encoding in _EVT:
             code = _EVT[encoding][0]
             words.append(np.frombuffer(message.text(), order + code).astype("<" + code))
@@ -164,7 +166,6 @@ def load_track_bag(path: Path) -> PointTrack:
 
 
 def _reader(bag: Path) -> Any:
-    """Make the library's reader of a ROS 1 or ROS 2 bag."""
     try:
         from rosbags import rosbag1, rosbag2
     except ImportError as error:
@@ -174,15 +175,12 @@ def _reader(bag: Path) -> Any:
         ) from error
     if _is_ros1(bag):
         return rosbag1.Reader(bag)
-    if bag.is_file() and (bag.suffix == _COMPRESSED or _has_compressed_messages(bag)):
+    mode = r"compression_mode: *\W?message"  # which the metadata beside a file may say
+    if bag.is_file() and (
+        bag.suffix == _COMPRESSED or re.search(mode, _metadata(bag.parent), re.IGNORECASE)
+    ):
         raise SsacError(f"{bag}: is compressed: give its folder with {_METADATA}, or decompress it")
     return rosbag2.Reader(bag)
-
-
-def _has_compressed_messages(bag: Path) -> bool:
-    """Whether metadata beside a ROS 2 file say that messages are compressed; the file does not."""
-    mode = r"compression_mode: *\W?message"
-    return re.search(mode, _metadata(bag.parent), re.IGNORECASE) is not None
 
 
 def _metadata(folder: Path) -> str:
@@ -270,13 +268,6 @@ def _of_words(
         file = Path(folder) / "events.raw"
         file.write_bytes(header.encode() + words[first:].tobytes())
         return load_makers_file(file, reading, path)
-
-
-def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> Events:
-    """Decode 64-bit words: p (1 bit), y (15), x (16) and the time since `base_ns` (32) [ns]."""
-    words = np.frombuffer(data, order + "u8").astype(np.int64)
-    t_us = _us_from_ns(base_ns + (words & 0xFFFFFFFF))
-    return events_from_arrays(t_us, words >> 32 & 0xFFFF, words >> 48 & 0x7FFF, words < 0, name)
 
 
 def _us_from_ns(times_ns: NDArray[Any]) -> IntArray:
