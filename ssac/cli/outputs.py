@@ -18,12 +18,7 @@ from ssac.files.event_files import WRITTEN, check_written, load_events, write_sy
 from ssac.files.rigs import RIG_SUFFIXES
 from ssac.files.ros_bags import file_of
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
-from ssac.files.whole_file import (
-    FIGURE_SUFFIXES,
-    check_figures_folder,
-    check_targets,
-    numbered_file,
-)
+from ssac.files.whole_file import FIGURE_SUFFIXES, check_figures, check_targets, numbered_file
 from ssac.pipeline.answer import Log, Stopwatch
 from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
@@ -32,7 +27,6 @@ from ssac.screen import columns, folded
 
 if TYPE_CHECKING:
     from ssac.pipeline.many import NetworkResult
-
 
 PAGE_SUFFIXES = (".html", ".htm")
 
@@ -66,7 +60,7 @@ def check_outputs(cameras: Sequence[Path], others: Sequence[Path], outputs: Outp
         pairs = [f"{a}-{b}" for a, b in combinations(range(1, n + 1), 2)]
         files += [plot] if n == 2 else [numbered_file(plot, pair) for pair in pairs]
     elif plot is not None:
-        check_figures_folder(plot)
+        check_figures(plot)
     check_targets(files, [file_of(path) for path in (*cameras, *others)])
 
 

@@ -1,6 +1,5 @@
 """The commands `ssac track` and `ssac import`, which make track files, and `ssac compare`."""
 
-import json
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,28 +7,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from ssac.cli import options as shared
 from ssac.cli.exits import warnings_as_lines
-from ssac.cli.options import (
-    JSON_FILE,
-    LEVER_ARM,
-    NO_DENOISE,
-    OF_EVENTS,
-    READING,
-    Option,
-    argument,
-    config_of,
-    flag,
-    named,
-    number,
-    with_options,
-)
+from ssac.cli.options import Option, argument, config_of, flag, named, number, with_options
 from ssac.errors import SsacError
 
 OPTIONS = {
     "camera": Option(
         number("Number of this camera in the rig.", 1, 1000, metavar="K"), type=int, default=1
     ),
-    "no_denoise": NO_DENOISE,
+    "no_denoise": shared.NO_DENOISE,
     "faint": Option(
         flag(
             "faint",
@@ -37,8 +24,8 @@ OPTIONS = {
             " events. Usually with --half-window 0.05 --n-min 8.",
         )
     ),
-    **READING,
-    **OF_EVENTS,
+    **shared.READING,
+    **shared.OF_EVENTS,
 }
 """The options of `ssac track` by the names of their parameters."""
 
@@ -146,19 +133,19 @@ def compare_command(
             "Prior standard deviation of the clocks' relative rate; 0: same rate.", 0, 10_000, "ppm"
         ),
     ] = 50.0,
-    lever_arm: Annotated[tuple[float, float, float] | None, LEVER_ARM.info] = None,
+    lever_arm: Annotated[tuple[float, float, float] | None, shared.LEVER_ARM.info] = None,
     plot: Annotated[Path | None, named("FILE", "Figure to write (.png, .pdf, .svg).")] = None,
-    json_file: Annotated[Path | None, JSON_FILE.info] = None,
+    json_file: Annotated[Path | None, shared.JSON_FILE.info] = None,
 ) -> None:
     """Say how far a path is from the truth, at equal times and as a shape.
 
     Paths are TUM (t x y z qx qy qz qw), csv (t_s,x_m,y_m,z_m) or rows of x y z. Frame, scale, time
     shift and clock rate are found.
     """
-    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, write_whole
+    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets
     from ssac.network.comparison import compare
     from ssac.network.tum import read_path
-    from ssac.pipeline.report import text_of
+    from ssac.pipeline.report import save_json, text_of
 
     if scale not in SCALES:
         raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
@@ -168,8 +155,7 @@ def compare_command(
     paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
     found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
     if json_file is not None:
-        text = json.dumps(found.figures(), indent=1, allow_nan=False)
-        write_whole(json_file, f"{text}\n")
+        save_json(json_file, found.figures())
     if plot is not None:
         from ssac.pipeline.plots import draw_comparison, save
 

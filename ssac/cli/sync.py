@@ -9,23 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from ssac.cli import options as shared
 from ssac.cli.command_line import Sections
 from ssac.cli.exits import NO_ESTIMATE, warnings_as_lines
-from ssac.cli.options import (
-    JSON_FILE,
-    LEVER_ARM,
-    NO_DENOISE,
-    OF_EVENTS,
-    READING,
-    Option,
-    argument,
-    config_of,
-    file_option,
-    flag,
-    named,
-    number,
-    with_options,
-)
+from ssac.cli.options import Option, argument, file_option, flag, named, number, with_options
 from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
 from ssac.errors import SsacError
 from ssac.estimate import Status
@@ -116,7 +103,7 @@ OPTIONS = {
             "Estimate rolling-shutter readout times that the rig does not give (tracks only).",
         )
     ),
-    "json_file": JSON_FILE,
+    "json_file": shared.JSON_FILE,
     "plot": file_option("Draw figures: into a folder, or one file (.png, .pdf, .svg).", "PATH"),
     "report": file_option(
         "Write all of it as an HTML page, with a player, that needs no other file."
@@ -137,7 +124,7 @@ OPTIONS = {
     ),
     "positions": file_option("CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
     "rtk": file_option("The object's path by RTK, on any clock: sets frame and scale."),
-    "lever_arm": LEVER_ARM,
+    "lever_arm": shared.LEVER_ARM,
     "focal_std": Option(
         number(
             "Standard deviation of both focal lengths, overriding the rig file.", 0, 20, "percent"
@@ -150,15 +137,15 @@ OPTIONS = {
         ),
         type=float | None,
     ),
-    "no_denoise": NO_DENOISE,
-    **READING,
+    "no_denoise": shared.NO_DENOISE,
+    **shared.READING,
     "n_samples": Option(
         number(
             "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT"
         ),
         "n_samples",
     ),
-    **OF_EVENTS,
+    **shared.OF_EVENTS,
     "neighbours": Option(
         number(
             "Noise filter: events needed within 5 px and 5 ms to keep an event.",
@@ -220,13 +207,12 @@ def sync_command(
         has_pose = choose_method(given.method, given.known_extrinsics).needs_extrinsics
         rig = cam1 / ("rig_extrinsics.yaml" if has_pose else "rig.yaml")
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
-    config, log = config_of(OPTIONS, options), partial(typer.echo, err=True)
+    config, log = shared.config_of(OPTIONS, options), partial(typer.echo, err=True)
     outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})
     with warnings_as_lines(), compilation_told():
         check_outputs(files, [rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
-        _check_number(given, has_more)
-        _check_pose(given)
+        _check_suits(given, has_more)
         result = sync(
             files,
             rig,
@@ -307,8 +293,10 @@ def help_sections() -> Sections:
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
-def _check_number(given: SimpleNamespace, has_more: bool) -> None:
-    """Raise SsacError for options that do not suit the number of cameras."""
+def _check_suits(given: SimpleNamespace, has_more: bool) -> None:
+    """Raise SsacError for options that do not suit the number of cameras, or the method."""
+    from ssac.pipeline.registry import METHODS
+
     for_two = {
         "--cameras": given.cameras != (1, 2),
         "--write-synced": given.write_synced,
@@ -327,14 +315,9 @@ def _check_number(given: SimpleNamespace, has_more: bool) -> None:
     if given.rtk is not None and given.trajectory is None and not has_more:
         raise SsacError("--rtk: is for the object's path: give --trajectory too, or leave it out")
 
-
-def _check_pose(given: SimpleNamespace) -> None:
-    """Raise SsacError for outputs that need a pose, of a method that finds none."""
-    from ssac.pipeline.registry import METHODS
-
     if given.method not in METHODS or not METHODS[given.method].finds_offset_alone:
         return
-    for name, file in {"--trajectory": given.trajectory, "--write-rig": given.write_rig}.items():
+    for name, file in (("--trajectory", given.trajectory), ("--write-rig", given.write_rig)):
         if file is not None:
             raise SsacError(
                 f"{name}: needs a pose, and {given.method} finds the offset alone: leave it out, or"

@@ -48,18 +48,15 @@ def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> N
         named.add(output.resolve())
 
 
-def check_figures_folder(folder: Path) -> None:
+def check_figures(folder: Path) -> None:
     """Raise SsacError unless figures can be written into a folder, and it is meant as one."""
+    fault, kinds = "", ", ".join(FIGURE_SUFFIXES)
     if folder.exists() and not folder.is_dir():
-        raise SsacError(
-            f"{folder}: exists and is no folder: name a folder, or a file ending in "
-            f"{', '.join(FIGURE_SUFFIXES)}"
-        )
-    if folder.suffix.lower() in _OTHER_PICTURES:
-        raise SsacError(
-            f"{folder}: cannot write the extension {folder.suffix!r}: name a folder, or a file "
-            f"ending in {', '.join(FIGURE_SUFFIXES)}"
-        )
+        fault = "exists and is no folder"
+    elif folder.suffix.lower() in _OTHER_PICTURES:
+        fault = f"cannot write the extension {folder.suffix!r}"
+    if fault:
+        raise SsacError(f"{folder}: {fault}: name a folder, or a file ending in {kinds}")
     check_folder(folder)
 
 
@@ -94,11 +91,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file of text as `whole_file` does.
-
-    Bytes of file names that are not UTF-8, which Python holds as surrogates, become backslash
-    escapes.
-    """
+    """Write a file of text as `whole_file` does; what is no UTF-8 becomes backslash escapes."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 

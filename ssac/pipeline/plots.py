@@ -23,7 +23,7 @@ from ssac.arrays import Array
 from ssac.camera import Camera, undistortion_map
 from ssac.estimate import Status
 from ssac.events import US_PER_S, slice_time
-from ssac.files.whole_file import FIGURE_SUFFIXES, check_figures_folder, whole_file
+from ssac.files.whole_file import FIGURE_SUFFIXES, check_figures, whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.fit.least_squares import Parameters, WeighedPairs
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1, sampson_distance
@@ -47,13 +47,7 @@ ZOOM_S = 0.003  # half the width of the zoom around the minimum, as in the paper
 
 _WIDTH_IN, _DPI = 9.0, 150
 _TRUTH = "0.75"  # grey of the reference path, a wide line beneath the estimate
-_POINT: dict[str, Any] = {
-    "marker": "X",
-    "markersize": 11,
-    "markerfacecolor": "black",
-    "markeredgecolor": "white",
-    "linestyle": "none",
-}
+_POINT: dict[str, Any] = {"marker": "X", "ms": 11, "mfc": "black", "mec": "white", "ls": "none"}
 
 
 def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
@@ -68,7 +62,7 @@ def save_figures(target: Path, answer: Answer, only: str = "") -> list[Path]:
     if target.suffix.lower() in FIGURE_SUFFIXES:
         pages = {target: figures}
     else:
-        check_figures_folder(target)
+        check_figures(target)
         target.mkdir(parents=True, exist_ok=True)
         pages = {target / f"{figure[0]}.png": [figure] for figure in figures}
     for path, shown in pages.items():
