@@ -98,7 +98,7 @@ class TwoViews:
         object.__setattr__(self, "refined", {})
         longest_s = float(np.ptp(self.config.offsets_s))
         alone = Alone(self.motions, longest_s, self.rules.view, self.rules.blind)
-        if self.alone is None or not self.alone.is_like(alone):
+        if self.alone != alone:
             object.__setattr__(self, "alone", alone)
 
     def by(self, **rules: Any) -> "TwoViews":

@@ -257,7 +257,7 @@ def local_minima(values: Array) -> Indices:
     return places[np.argsort(values[places], kind="stable")]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Alone:
     """Properties of each of two motions on its own, computed on first use and cached."""
 
@@ -265,12 +265,6 @@ class Alone:
     longest_s: float  # largest lag in `returns_s`
     rules: ViewRules
     of_blind: BlindRules
-
-    def is_like(self, other: "Alone") -> bool:
-        """Whether both have the identical motions, the same longest lag and the same rules."""
-        same = all(one is two for one, two in zip(self.motions, other.motions, strict=True))
-        mine, theirs = ((one.longest_s, one.rules, one.of_blind) for one in (self, other))
-        return same and mine == theirs
 
     @cached_property
     def views(self) -> tuple[View | None, View | None]:

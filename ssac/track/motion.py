@@ -76,7 +76,7 @@ def _summed_up(clean: Clean, border_px: int) -> "ObjectMotion":
     return replace(whole, bare=bare[0]) if bare else whole
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectMotion:
     """Cumulative sums over the n events of one camera, from which `at` reads window means."""
 
@@ -249,7 +249,7 @@ def _slices(times_us: IntArray) -> tuple[int, int]:
     return bits, (length_us >> bits) + 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointMotion:
     """The n points of one camera, to be sampled as `ObjectMotion` is."""
 
