@@ -328,7 +328,7 @@ def merge(
     """Join the shards of a study to the same bytes as a run in one piece, and make its other files.
 
     Each shard has its provenance beside it; `study_of` returns the study of its configuration.
-    SsacError if the shards are of different grids or code, overlap, or do not cover the grid.
+    SsacError if the shards are of different grids or code, overlap, are cut off or leave out cells.
     """
     provenances = [_read_provenance(path) for path in shards]
     wholes = [{k: v for k, v in one["config"].items() if k != SHARD} for one in provenances]
@@ -374,11 +374,12 @@ def merge(
 def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:
     """Read a shard: its header, and the other lines, each with the cell's number at its start."""
     try:
-        header, *lines = path.read_bytes().decode("utf-8").splitlines() or [""]
+        text = path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SsacError(f"{path}: cannot be read ({error}): run this shard again") from error
-    if not header:
-        raise SsacError(f"{path}: is empty: run this shard again")
+    if not text.strip() or not text.endswith("\n"):  # as every table does
+        raise SsacError(f"{path}: is empty, or its end is missing: run this shard again")
+    header, *lines = text.splitlines()
     numbers = [line.partition(",")[0] for line in lines]
     for number in numbers:
         if not (number.isascii() and number.isdecimal()):

@@ -142,7 +142,8 @@ def test_merged_shards_are_the_same_bytes_even_where_one_has_no_rows(tmp_path):
         (text, {"config": content["config"] | {"powers": [3]}}, "is of another grid"),
         (text, {"commit": "0123456789ab"}, "is of the code 0123456789ab, and"),
         (text.replace("square", "worth", 1), {}, "has other columns"),
-        ("", {}, "is empty: run this shard again"),
+        ("", {}, "is empty, or its end is missing: run this shard again"),
+        (text[:-3], {}, "is empty, or its end is missing: run this shard again"),
         (f"{text}-1,x\n", {}, "a row begins with '-1', no cell's number"),
     ):
         parts[1].write_text(new)
