@@ -19,8 +19,8 @@ US_PER_S = 1_000_000
 WRAP_S = 2**24 * 1e-6  # after which a 24-bit counter of microseconds wraps around
 QUANTA_S = (0.010, 0.001)  # steps to which some recorders round times
 
-
-SizePx = tuple[int | None, int | None]  #: a sensor's width and height [px]; None: not known
+SizePx = tuple[int | None, int | None]
+"""A sensor's width and height [px]; None where it is not known."""
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,10 @@ def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable
 def running(
     choose: Callable[..., Chosen], shared: Sequence[str] = tuple(ALL_OPTIONS)
 ) -> Callable[..., None]:
-    """Make a command from `choose`, which selects studies, and the shared options."""
+    """Make a command from `choose`, which selects studies, and the shared options.
+
+    An option of `choose` takes the place of a shared one; if it is `out`, `choose` also returns it.
+    """
     own = {k: v.replace(kind=_KEYWORD) for k, v in signature(choose).parameters.items()}
     others = {name: ALL_OPTIONS[name] for name in shared if name not in own}
     parameters = [*own.values(), *others.values()]

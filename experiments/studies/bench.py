@@ -27,7 +27,18 @@ from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of, markdown_table, records
-from experiments.machine import PART, PARTS, POINTS, STEP, STEPS, Measurement, PartCell, StepCell
+from experiments.machine import (
+    PART,
+    PARTS,
+    POINTS,
+    SIMULATE,
+    STEP,
+    STEPS,
+    SYNCHRONISE,
+    Measurement,
+    PartCell,
+    StepCell,
+)
 from ssac.estimate import Status
 
 _TOOK = ("wall_s", "cpu_s", "peak_mb")
@@ -117,7 +128,7 @@ _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 def growth_figure(table: pd.DataFrame) -> Figure:
     """Draw time and memory on logarithmic axes: a colour is a step, and a marker a sensor."""
-    colors = dict(zip(STEPS, ("0.6", ACCENT), strict=True))
+    colors = {SIMULATE: "0.6", SYNCHRONISE: ACCENT}
     figure, (both,) = panels("How run time and memory grow with the recording", 4.4, columns=2)
     table = table.assign(events_per_camera=1e-6 * table["events_per_camera"])
     measured = table[table["wall_s"].notna()]

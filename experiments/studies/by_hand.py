@@ -383,7 +383,6 @@ def _judged(runs: pd.DataFrame) -> dict[str, Any]:
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
     shares, _ = held(default, HELD, as_shares=True)
-    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
     return {
         "recordings": len(default),
         "answered": int(given.sum()),
@@ -391,12 +390,17 @@ def _counts(default: pd.DataFrame) -> dict[str, Any]:
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
         **shares,
         "beyond": int(default["is_beyond"].sum()),
-        "worst": f"{default['flight'][off.idxmax()]}: {off.max():.1f}" if off.notna().any() else "",
+        "worst": _worst(default),
         "refused": _listed(default["status"][~given]),
         "settings": _listed(default["settings"].explode()),
         "cpu_s_median": default["cpu_s"].median(),
         "cpu_s_most": default["cpu_s"].max(),
     }
+
+
+def _worst(default: pd.DataFrame) -> str:
+    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
+    return "" if off.isna().all() else f"{default['flight'][off.idxmax()]}: {off.max():.1f}"
 
 
 def _listed(words: "pd.Series[Any]") -> str:

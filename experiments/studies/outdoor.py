@@ -76,7 +76,7 @@ _RTK_HZ = 5.0
 _RTK_STD_M = (0.01, 0.01, 0.02)
 _RTK_CLOCK = Clock(18.4, 5.0)  # beside camera 1's
 CALM = SplineConfig(sampling_hz=1.0, segments_per_s=1.0, smoothing=2.0)
-"""Smoothing in s^3: turns within some seconds, at 5 m/s or so."""
+"""Smoothing in s^3: turns within some seconds; the box makes the speed, 5 m/s or so."""
 
 FIRST_SEED = 76_000  # nothing was chosen on these; those from 71,000 on were looked at
 _STREAM = 97  # of what is drawn beside the recording
@@ -181,8 +181,8 @@ def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
         answer = at_once(folders, truths, cell)
         row, found = OutdoorRow(str(answer.status), answer.reason), answer.cameras[1]
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
-            path, t_std = answer.paths[0].path, np.asarray(found.t_std)
-            t_std_deg = float(np.rad2deg(np.linalg.norm(t_std)))
+            path = answer.paths[0].path
+            t_std_deg = float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
     else:
         found, path = estimated(folders[0], truth, cell)
         row, t_std_deg = OutdoorRow(str(found.status), found.reason), found.t_std_deg

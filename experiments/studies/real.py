@@ -196,7 +196,8 @@ def _pair_faults(results: Results) -> Iterator[str]:
 def _triple_faults(results: Results) -> Iterator[str]:
     pairs, triples, most_ms = results.table(PAIRS), results.table(TRIPLES), dict[Key, float]()
     given = pairs[pairs["status"].isin(OFFSET_GIVEN)].fillna({"skew_ppm": 0.0})
-    affine, expected = {*_keys(given[given["clock"] == "affine"])}, dict[tuple[Any, ...], float]()
+    affine = {*_keys(given[given["clock"] == "affine"])}
+    expected = dict[tuple[Any, ...], float]()
     for number, of_set in given.groupby("data_set"):
         numbers = of_set[["t_d_s", "skew_ppm", "t_ref_s"]].to_numpy()
         of_pairs = zip(_keys(of_set), numbers, strict=True)

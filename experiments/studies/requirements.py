@@ -230,8 +230,12 @@ def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
 
 def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
     """Return how far t_d [ms], R and t [deg] are from the estimate with exact intrinsics."""
-    pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
-    exact = flown.made("exact", lambda: pair.chain().estimate(METHOD))
+
+    def exactly() -> Estimate:
+        pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
+        return pair.chain().estimate(METHOD)
+
+    exact = flown.made("exact", exactly)
     if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:
         return {}
     return {

@@ -108,12 +108,14 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[Camera, float]:
         fps = float(found["fps"])
         if not 0.0 < fps < np.inf:
             raise ValueError(f"{fps:g} frames a second")
-        camera = Camera(K, width, height, "radtan", tuple(coeffs))
+        if K.shape != (3, 3):
+            raise ValueError(f"a K-matrix of shape {K.shape}")
     except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise SsacError(
             f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
             f"({type(error).__name__}: {error}): get the file again"
         ) from error
+    camera = Camera(K, width, height, "radtan", tuple(coeffs))
     check_camera(camera, str(path))
     return with_deviations(camera, FOCAL_STD, CENTRE_STD_PX), fps
 

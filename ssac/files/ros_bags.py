@@ -129,8 +129,9 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
         forms.add((width, height, encoding))
         if encoding == "mono":  # p (1 bit), y (15), x (16) and the time since `base_ns` (32) [ns]
             bits = np.frombuffer(message.text(), order + "u8").astype(np.int64)
-            t_us, x, y = _us_from_ns(base_ns + (bits & 0xFFFFFFFF)), bits >> 32, bits >> 48
-            blocks.append(events_from_arrays(t_us, x & 0xFFFF, y & 0x7FFF, bits < 0, str(path)))
+            t_us = _us_from_ns(base_ns + (bits & 0xFFFFFFFF))
+            x, y = bits >> 32 & 0xFFFF, bits >> 48 & 0x7FFF
+            blocks.append(events_from_arrays(t_us, x, y, bits < 0, str(path)))
         elif encoding in _EVT:
             code = _EVT[encoding][0]
             words.append(np.frombuffer(message.text(), order + code).astype("<" + code))

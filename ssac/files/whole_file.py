@@ -91,7 +91,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file of text as `whole_file` does; what is no UTF-8 becomes backslash escapes."""
+    """Write text as `whole_file` does; surrogates of file names become backslash escapes."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 

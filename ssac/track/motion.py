@@ -91,9 +91,7 @@ class ObjectMotion:
     max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border
     gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as in `Clean`
     bare: "ObjectMotion | None" = None  # without the events on a thin line, if any
-    sharp: dict[bytes, SharpTrack] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    sharp: dict[bytes, SharpTrack] = field(default_factory=dict, init=False, repr=False)
     """Cache of what `sharp_at` found, by its times. Copies made by `replace` start with none."""
 
     @property
