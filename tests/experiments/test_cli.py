@@ -64,6 +64,7 @@ FILES = {
         ("study efficiency spread", "spread: is of your own data: run it by itself"),
         ("study spread a b", "expected CAM1 CAM2 RIG behind it, got 'a b'"),
         ("study spread a b c", "a: no such file"),
+        ("study spread . . .", r"\.: no such file"),
         ("by-hand --kind odd", r"--kind: expected one of plain, .*, got 'odd'"),
         ("physical odd", "unknown part 'odd': use one of "),
         ("figures fig3_preprocessing fig6", "unknown figure 'fig6': expected some of fig3"),

@@ -41,8 +41,8 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def make_camera(model="none", resolution=(346, 260)):
-    """Camera 1 at (0, -5, 0), looking along +y."""
+def make_camera(model="none", resolution=(346, 260), number=0):
+    """Camera 1 at (0, -5, 0), looking along +y, or another one of the rig."""
     width, height = resolution
     rig = two_view_rig(
         90.0,
@@ -52,7 +52,7 @@ def make_camera(model="none", resolution=(346, 260)):
         distortion_model=model,
         distortion_coeffs=LENSES[model],
     )
-    return rig.cameras[0]
+    return rig.cameras[number]
 
 
 def box_drone(size_m, albedo=0.2):

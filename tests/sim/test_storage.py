@@ -75,6 +75,7 @@ def test_hdf5_and_text_are_read_back(tmp_path, monkeypatch, n_events, n_frames, 
             assert (file.attrs["width"], file.attrs["height"]) == (346, 260)
             for name in "txyp":
                 assert file[f"events/{name}"].dtype == EVENT_DTYPE[name]
+                np.testing.assert_array_equal(file[f"events/{name}"][:], camera.events[name])
             assert ("frames" in file) == (n_frames > 0)
             if n_frames:
                 in_chunk = min(max(int(fit), 1), 16, n_frames)
@@ -214,12 +215,14 @@ def test_new_and_empty_folders_are_taken_and_the_present_one(tmp_path, monkeypat
     (here / "empty" if "empty" in out else here).mkdir(parents=True)
     monkeypatch.chdir(here)
     check_out_dir(Path(out))
+    seen = []
 
     def look(partial, _):
-        assert partial.parent == (here / "empty" if "empty" in out else here)
+        seen.append(partial.parent)
         assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
     save_recording(made_up_recording(5, 1), Path(out), {}, write_more=look)
+    assert seen == [here / "empty" if "empty" in out else here]
     assert "truth.json" in contents(Path(out))  # of the present folder: still the same one
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
     assert not list(tmp_path.rglob("*.partial"))

@@ -68,8 +68,8 @@ def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
     pairs = {(cell.sim.focal_px, cell.estimator.n_min) for cell in cells}
     assert pairs == {(100.0, 1), (200.0, 2)}
     assert grid.varied == ("sim.angle_deg", "sim.t_d_s", "ssac.n_min", "sim.focal_px")
-    flown = {(cell.sim.angle_deg, cell.flight): cell.seed for cell in cells}
-    assert flown == {at: flight_seed(10.0, *at) for at in product((30.0, 90.0), (0, 1))}
+    flown = {(cell.sim.angle_deg, cell.flight, cell.seed) for cell in cells}
+    assert flown == {(*at, flight_seed(10.0, *at)) for at in product((30.0, 90.0), (0, 1))}
 
 
 @pytest.mark.render

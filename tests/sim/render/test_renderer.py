@@ -208,7 +208,7 @@ AT_BORDERS = poses(np.concatenate([CORNERS_M * [1, 1, 0.2], CORNERS_M * [0.3, 1,
     [
         (BOX, IN_VIEW, 0.3),
         (painted(QUADROTOR, 0.2), IN_VIEW, 1.0),  # whose rotors spin
-        # Edges across half the view, which a lens bends by 5 px beyond the corners of the hull.
+        # Edges across half the view, which a lens bends by 2 to 4 px beyond the hull's corners.
         (box_drone((1.5, 1.5, 0.1)), BESIDE, 0.3),
         (BOX, AT_BORDERS, 1.0),
     ],

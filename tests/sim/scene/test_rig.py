@@ -69,9 +69,11 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image():
 
 def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked():
     coeffs = LENSES["radtan"]
-    rig = look_at_rig((0, 40, 110), distortion_model="radtan", distortion_coeffs=coeffs)
+    rig = look_at_rig((0, 40, 110, 260), distortion_model="radtan", distortion_coeffs=coeffs)
+    for camera in rig.cameras:
+        np.testing.assert_allclose(camera.project(np.zeros(3)), (173, 130), atol=1e-12)  # as above
     chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=True))
-    assert list(chain) == ["cam0", "cam1", "cam2"]
+    assert list(chain) == ["cam0", "cam1", "cam2", "cam3"]
     assert chain["cam0"] == {
         "camera_model": "pinhole",
         "intrinsics": [200.0, 200.0, 173.0, 130.0],
@@ -80,7 +82,7 @@ def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked():
         "distortion_coeffs": list(coeffs),
         "resolution": [346, 260],
     }
-    for n in (1, 2):
+    for n in (1, 2, 3):
         np.testing.assert_array_equal(chain[f"cam{n}"]["T_cn_cnm1"], rig.relative_pose(n - 1, n))
     blind = kalibr_yaml(two_view_rig(90.0, t_d_s=0.123), with_extrinsics=False)
     assert "T_cn_cnm1" not in blind

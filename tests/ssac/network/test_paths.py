@@ -385,9 +385,9 @@ def by_positions(folder, answer, positions, rules=GROUND) -> Ground:
     return ground_of_positions(answer, folder / "positions.csv", rules)
 
 
-def by_rtk(folder, answer, path, rules=GROUND, arm_m=None) -> Ground:
-    write_path(folder / "rtk.tum", path)
-    return ground_of_rtk(answer, folder / "rtk.tum", rules, FIT, arm_m)
+def by_rtk(folder, answer, path, rules=GROUND, arm_m=None, name="rtk.tum") -> Ground:
+    write_path(folder / name, path)
+    return ground_of_rtk(answer, folder / name, rules, FIT, arm_m)
 
 
 def result_of(answer, ground=None) -> NetworkResult:
@@ -473,7 +473,7 @@ def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solve
     assert off_m(flight, in_frame(answer, ground)) < 0.05  # as with positions
     assert off_m(flight, in_frame(answer, by_rtk(tmp_path, answer, rtk))) > 0.1
     with pytest.raises(SsacError, match="lever arm turns with the body"):
-        by_rtk(tmp_path, answer, replace(rtk, quaternions=None), arm_m=arm_m)
+        by_rtk(tmp_path, answer, replace(rtk, quaternions=None), arm_m=arm_m, name="rtk.csv")
 
 
 def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp_path):
