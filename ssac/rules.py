@@ -389,6 +389,11 @@ class VerdictRules:
     # Where it states 0, in those of a good calibration: 2.7 at most of 137 right ones.
     max_against: float = 4.0
     in_doubt: float = 2.0  # the same from which a rig that states no deviations is in doubt
+    # The same from which such a rig is in slight doubt, and what it then counts as known to, by the
+    # 210 recordings of `ssac by-hand`, base 300, numbers 3250 to 3849, whose rigs state none.
+    in_slight_doubt: float = 1.25
+    slight_focal: float = 0.01  # of the focal lengths, as a share
+    slight_centre_px: float = 3.0  # of the principal point
     # Deviations of a rig in doubt, by 75 such of `ssac by-hand`, bases 200 and 300, and 40 of
     # `reasons`: of a careless calibration, or so many times those where more speaks against it.
     careless_focal: float = 0.03  # of the focal lengths, as a share
