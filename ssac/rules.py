@@ -563,6 +563,11 @@ class TangencyRules:
     # Share of tangents seen, below which t_d's deviation grows by half of that difference: above,
     # tangents are right. By numbers 1062 to 1241 of `ssac by-hand`.
     few_seen: float = 0.4
+    # The same with noise of so many Hz of each pixel, where it is also at least the start's: by 22
+    # recordings of numbers 1355 to 3840, of which four were off by 4 to 8 deviations. It is 0.25 Hz
+    # of a sensor at 500 lux, and 1 Hz of the same at 5 lux.
+    few_seen_in_dark: float = 0.6
+    dark_hz: float = 0.5
     # Factors of the deviations at these shares of the pairs that are seen, those of a body too: by
     # the tables, flights 6010 to 6039 of `ssac study coverage` and numbers 1962 to 2561 of
     # `ssac by-hand`.
