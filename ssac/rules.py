@@ -389,6 +389,11 @@ class VerdictRules:
     # Where it states 0, in those of a good calibration: 2.7 at most of 137 right ones.
     max_against: float = 4.0
     in_doubt: float = 2.0  # the same from which a rig that states no deviations is in doubt
+    # The same from which such a rig is in slight doubt, and what it then counts as known to, by the
+    # 210 recordings of `ssac by-hand`, base 300, numbers 3250 to 3849, whose rigs state none.
+    in_slight_doubt: float = 1.25
+    slight_focal: float = 0.01  # of the focal lengths, as a share
+    slight_centre_px: float = 3.0  # of the principal point
     # Deviations of a rig in doubt, by 75 such of `ssac by-hand`, bases 200 and 300, and 40 of
     # `reasons`: of a careless calibration, or so many times those where more speaks against it.
     careless_focal: float = 0.03  # of the focal lengths, as a share
@@ -558,6 +563,11 @@ class TangencyRules:
     # Share of tangents seen, below which t_d's deviation grows by half of that difference: above,
     # tangents are right. By numbers 1062 to 1241 of `ssac by-hand`.
     few_seen: float = 0.4
+    # The same with noise of so many Hz of each pixel, where it is also at least the start's: by 22
+    # recordings of numbers 1355 to 3840, of which four were off by 4 to 8 deviations. It is 0.25 Hz
+    # of a sensor at 500 lux, and 1 Hz of the same at 5 lux.
+    few_seen_in_dark: float = 0.6
+    dark_hz: float = 0.5
     # Factors of the deviations at these shares of the pairs that are seen, those of a body too: by
     # the tables, flights 6010 to 6039 of `ssac study coverage` and numbers 1962 to 2561 of
     # `ssac by-hand`.

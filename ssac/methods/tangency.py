@@ -230,16 +230,28 @@ def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
     """Join the body, and adapt the deviations to the share of the tangents that are seen."""
     # Where few are, the views may show different parts of the object, whose offset no residual
     # tells from the true one, unless a body confirms it. Then half of the difference from the
-    # start, which is the two offsets' deviation from their mean, adds to the offset's.
+    # start, which is the two offsets' deviation from their mean, adds to the offset's. In the dark,
+    # pixels lag besides, and the offset is at most as certain as the start's.
     if found.status != Status.OK:
         return found
     rules, n_tangents = views.rules.tangency, 2 * len(tangent_times(views, found.t_d_s))
-    joined = with_body(found, views)
-    if joined.t_d_s != found.t_d_s or found.n_samples >= rules.few_seen * n_tangents:
+    joined, is_dark = with_body(found, views), _is_dark(views)
+    few = n_tangents * (rules.few_seen_in_dark if is_dark else rules.few_seen)
+    if joined.t_d_s != found.t_d_s or found.n_samples >= few:
         share = joined.n_samples / n_tangents
         return scaled(joined, float(np.interp(share, rules.seen_shares, rules.seen_times)))
-    has_offset = start.status != Status.AMBIGUOUS_OFFSET and np.isfinite(start.t_d_s)
-    return widened(joined, (0.5 * (found.t_d_s - start.t_d_s)) ** 2) if has_offset else joined
+    if start.status == Status.AMBIGUOUS_OFFSET or not np.isfinite(start.t_d_s):
+        return joined
+    hidden = (0.5 * (found.t_d_s - start.t_d_s)) ** 2
+    if is_dark and start.t_d_std_s > joined.t_d_std_s:
+        hidden += start.t_d_std_s**2 - joined.t_d_std_s**2
+    return widened(joined, hidden)
+
+
+def _is_dark(views: TwoViews) -> bool:
+    """Whether a pixel makes as much noise as in the dark, where its bandwidth is low."""
+    clutters = [one.clutter for one in views.cleans or () if one.clutter is not None]
+    return any(one.background_hz >= views.rules.tangency.dark_hz for one in clutters)
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:

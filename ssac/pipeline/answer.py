@@ -39,8 +39,8 @@ class Answer:
     rig_name: str = "the rig"  # for messages: a file's path
     start: Start | None = None  # result of a search over all offsets, if there was one
     clock: str = ""  # kind of camera 2's clock, "fast" or "pieces", where the usual one did not fit
-    misfit: str = ""  # what in the rig seems wrong, where its deviations were enlarged
-    less_certain: Rig | None = None  # the rig with these deviations
+    misfit: str = ""  # what in the rig seems wrong, where its deviations were enlarged for it
+    less_certain: Rig | None = None  # the rig with larger deviations, if they were enlarged
     distance_m: float | None = None  # between the cameras, where it was stated
     of_start: str = ""  # why the estimate is that of `method.starts_from`; empty if it is not
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
@@ -106,6 +106,12 @@ class Answer:
             said.append(
                 f"what is seen contradicts the rig: {self.misfit}; its intrinsics count as less"
                 " certain than it says, and the deviations are the larger for it: calibrate again"
+            )
+        elif self.less_certain is not None:
+            said.append(
+                "the rig states no deviations of its intrinsics, and slightly other ones fit as"
+                " well or better: they count as less certain than a good calibration's, and the"
+                " deviations are the larger for it: state theirs (--focal-std, --centre-std)"
             )
         if self.of_start:
             said.append(f"{self.of_start}: this is the answer of {self.method.starts_from}")

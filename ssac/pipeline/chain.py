@@ -317,7 +317,7 @@ class Chain:
 
     def _refined(self, pair: _Pair) -> Answer:
         """Run the method; where it fits poorly, also with other clocks and a less certain rig."""
-        found, clock, misfit = self._run(pair), "", ""
+        found, clock, misfit, tried = self._run(pair), "", "", None
         of_track = self._has_track(*pair.places)
         for name, config in retries.other_clocks(self.config, pair.config, of_track, found):
             other = replace(pair, config=config)
@@ -329,12 +329,12 @@ class Chain:
             other = replace(pair, rig=rig)
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= most:
-                pair, found, misfit = other, by_other, found.misfit or "as stated, nothing fits"
+                unlike = "" if found.status == Status.OK else "as stated, nothing fits"
+                pair, found, misfit, tried = other, by_other, found.misfit or unlike, rig
                 break
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
         of_start = retries.TINY if pair.method.keeps(views) else ""
         answer = self._answer(pair, found)
-        tried = pair.rig if misfit else None
         return replace(answer, clock=clock, misfit=misfit, less_certain=tried, of_start=of_start)
 
     def _run(self, pair: _Pair) -> Estimate:

@@ -398,7 +398,11 @@ def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:
     If no camera is in all of these, any of theirs may be wrong. A wrong one contradicts half of its
     pairs or more: one of many, as of cameras that face each other, contradicts the rig by chance.
     """
-    rigs = {pair: answer.less_certain for pair, answer in pairs.items() if answer.less_certain}
+    rigs = {
+        pair: answer.less_certain
+        for pair, answer in pairs.items()
+        if answer.less_certain and answer.misfit
+    }
     anywhere, own = set[int]().union(*rigs), [pair in rigs for pair in pairs if k in pair]
     if k not in (anywhere.intersection(*rigs) or anywhere) or 2 * sum(own) < len(own):
         return camera

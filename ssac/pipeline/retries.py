@@ -221,16 +221,26 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
     states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
     is_in_doubt = found.against > (rules.max_against if states else rules.in_doubt)
     is_in_doubt |= found.status == Status.POOR_FIT and not states
-    is_in_doubt &= np.isfinite(found.against_skew)  # else the clock is in doubt
-    if not is_in_doubt or found.status not in (Status.OK, Status.POOR_FIT):
-        return
-    for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
-        careless = times * rules.careless_focal, times * rules.careless_centre_px
-        cam1, cam2 = (_known_to(camera, *careless) for camera in (rig.cam1, rig.cam2))
-        yield replace(rig, cam1=cam1, cam2=cam2), most
+    is_slight = not (states or is_in_doubt) and found.against > rules.in_slight_doubt
+    if found.status not in (Status.OK, Status.POOR_FIT) or not np.isfinite(found.against_skew):
+        return  # the latter: the clock is in doubt
+    if is_slight:
+        slight = rules.slight_focal, rules.slight_centre_px
+        yield _known_to(rig, *slight), rules.max_against_careless[0]
+    elif is_in_doubt:
+        for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
+            yield (
+                _known_to(rig, times * rules.careless_focal, times * rules.careless_centre_px),
+                most,
+            )
 
 
-def _known_to(camera: Camera, focal: float, centre_px: float) -> Camera:
+def _known_to(rig: Rig, focal: float, centre_px: float) -> Rig:
+    cam1, cam2 = (_camera_known_to(camera, focal, centre_px) for camera in (rig.cam1, rig.cam2))
+    return replace(rig, cam1=cam1, cam2=cam2)
+
+
+def _camera_known_to(camera: Camera, focal: float, centre_px: float) -> Camera:
     least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
     stds_px = np.maximum(camera.intrinsics_std_px, least_px)
     return replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
