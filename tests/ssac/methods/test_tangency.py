@@ -16,6 +16,7 @@ from ssac.methods.joint import joint_from
 from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
 from ssac.rules import OutlineRules, PointRules, Rules, TangencyRules
 from ssac.search.object_track import ShapedTrack
+from ssac.track.denoise import Clutter
 from ssac.track.motion import point_motion
 from ssac.track.outline import Tangents, near_outline, tangents
 from ssac.track.silhouette import Images
@@ -142,9 +143,9 @@ def by_means() -> Estimate:
     return joint_from(algorithm_2(VIEWS), VIEWS)
 
 
-def by_rules(start: Estimate, **rules) -> Estimate:
+def by_rules(start: Estimate, views: TwoViews = VIEWS, **rules) -> Estimate:
     rules = {"joins_body": False} | rules
-    return tangency_from(start, VIEWS.by(tangency=TangencyRules(**rules)))
+    return tangency_from(start, views.by(tangency=TangencyRules(**rules)))
 
 
 def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
@@ -184,6 +185,21 @@ def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_star
     assert none.t_d_std_s == some.t_d_std_s < 1e-3
     half_s = 0.5 * (sure.t_d_s - few.t_d_s)
     assert few.t_d_std_s == pytest.approx(np.hypot(none.t_d_std_s, half_s))
+
+
+@pytest.mark.parametrize(("noise_hz", "start_std_s"), [(0.4, 0.02), (0.6, 0.02), (0.6, 1e-6)])
+def test_few_tangents_in_the_dark_are_at_most_as_sure_as_the_start(noise_hz, start_std_s):
+    clean = VIEWS.cleans[0]
+    noisy = replace(clean, clutter=Clutter(0, 0, noise_hz, 5.0, 20, 200))
+    views = replace(VIEWS, cleans=(clean, noisy))
+    start = replace(by_means(), t_d_std_s=start_std_s)
+    many, few = (
+        by_rules(start, views, few_seen=0.0, few_seen_in_dark=share, seen_times=(1.0, 1.0))
+        for share in (0.0, 2.0)
+    )
+    assert few.t_d_s == many.t_d_s
+    stds_s = max(start_std_s, many.t_d_std_s), 0.5 * (few.t_d_s - start.t_d_s)
+    assert few.t_d_std_s == pytest.approx(np.hypot(*stds_s) if noise_hz > 0.5 else many.t_d_std_s)
 
 
 def test_the_more_tangents_are_seen_the_surer_they_are():
