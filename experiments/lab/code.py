@@ -209,9 +209,10 @@ def _bound(line: ast.stmt) -> set[str]:
         may_register = {name.rpartition(".")[2] for name in called} - _HARMLESS
         return {line.name} | ({_ALWAYS} if may_register else set())
     inside = list(ast.walk(line))
-    stored = {
-        one.id for one in inside if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)
-    }
+    loops = [one.target for one in inside if isinstance(one, ast.comprehension)]
+    hidden = {id(one) for target in loops for one in ast.walk(target)}  # bound inside alone
+    names = (one for one in inside if isinstance(one, ast.Name) and id(one) not in hidden)
+    stored = {one.id for one in names if isinstance(one.ctx, ast.Store)}
     return stored | {one.name for one in inside if isinstance(one, _DEFINING)} or {_ALWAYS}
 
 

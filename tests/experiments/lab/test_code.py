@@ -117,6 +117,8 @@ def row(cell, loaded):
 def table(runs):
     return second(runs)
 
+SHOWN = [cell for cell in "ab"]
+
 LOOKS.update(b=2)
 
 @register
@@ -136,6 +138,7 @@ def other():
         ("b=2", "b=20", True),  # binds no name: it always counts
         ("return 0", "return 1", True),  # so does what a decorator may register
         ("second(runs)", "second(2 * runs)", False),
+        ('"ab"', '"abc"', False),  # a comprehension's own variable, named as an argument is
         ('cache: "Cache"', "cache: object", False),
         ('"""A study."""', '"""Another study."""', False),
     ],
