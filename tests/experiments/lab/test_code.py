@@ -124,6 +124,10 @@ LOOKS.update(b=2)
 @register
 def other():
     return 0
+
+@with_options({})
+def command():
+    return 1
 '''
 
 
@@ -136,7 +140,8 @@ def other():
         ("first(n)", "first(n + 1)", True),
         ("status: str", "status: bytes", True),
         ("b=2", "b=20", True),  # binds no name: it always counts
-        ("return 0", "return 1", True),  # so does what a decorator may register
+        ("return 0", "return 2", True),  # so does what a decorator may register ...
+        ("return 1", "return 2", False),  # ... but one of options does not
         ("second(runs)", "second(2 * runs)", False),
         ('"ab"', '"abc"', False),  # a comprehension's own variable, named as an argument is
         ('cache: "Cache"', "cache: object", False),
