@@ -24,6 +24,7 @@ from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
 from ssac.cli.options import argument, flag, named, number
 from ssac.errors import SsacError
+from ssac.files.ros_bags import bag_of
 from ssac.files.whole_file import check_writable
 
 N_RECORDINGS = 6  # by default the number of recordings that `ssac verify` draws
@@ -199,9 +200,9 @@ def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
     if len(words) != len(needed):
         expected = " ".join(name.upper() for name in needed)
         raise SsacError(f"{study.name}: expected {expected} behind it, got {' '.join(words)!r}")
-    absent = [word for word in words if not Path(word).is_file()]
+    absent = [word for word in words if not (Path(word).is_file() or bag_of(Path(word)))]
     if absent:
-        raise SsacError(f"{absent[0]}: no such file (folders and topics of bags are not taken)")
+        raise SsacError(f"{absent[0]}: no such file, nor a bag or a topic of one: check the path")
     return dict(zip(needed, map(Path, words), strict=True))
 
 

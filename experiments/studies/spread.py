@@ -4,6 +4,7 @@ Each method runs with half-windows and least numbers of events around the defaul
 moves by more than its stated deviation, it depends on the choice of the window.
 
     ssac study spread cam1.h5 cam2.h5 rig.yaml --out out
+    ssac study spread bag/cam1/events bag/cam2/events rig.yaml --out out
 """
 
 import hashlib
@@ -23,6 +24,7 @@ from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
 from ssac.config import N_MIN, Config
+from ssac.files.ros_bags import bag_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
@@ -69,12 +71,21 @@ class SpreadRow(RunRow):
 def cells(cam1: File, cam2: File, rig: File) -> list[SpreadCell]:
     """List every method with every window."""
     files = (cam1, cam2, rig)
-    digests = tuple(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
+    digests = tuple(map(_digest, files))
     return [
         SpreadCell(files, digests, *window, method)
         for window in product(HALF_WINDOWS_S, N_MINS)
         for method in SHOWN
     ]
+
+
+def _digest(path: Path) -> str:
+    """Return a digest of a file, or of all files of a bag and the topic in it."""
+    bag, topic = bag_of(path) or (path, "")
+    found = hashlib.sha256(topic.encode())
+    for part in sorted(bag.iterdir()) if bag.is_dir() else [bag]:
+        found.update(part.read_bytes())
+    return found.hexdigest()
 
 
 def load(cells: Sequence[SpreadCell], _: object) -> Chain:

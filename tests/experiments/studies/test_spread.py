@@ -7,8 +7,10 @@ import pytest
 from experiments.studies import spread
 from experiments.studies.spread import HALF_WINDOWS_S, N_MINS, SHOWN, spread_figure, spread_table
 from ssac.config import N_MIN, Config
+from ssac.files.event_files import load_events
 from tests.experiments.command import run
 from tests.experiments.reported import record_flight
+from tests.ssac.bags import arrays, write_bag
 
 
 def made_up() -> pd.DataFrame:
@@ -68,3 +70,7 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     of_t_d = table[table["quantity"] == "t_d_ms"].set_index("method")
     # The true offset of this pair is 0; 4 s leave an error of a few ms at most.
     assert (of_t_d["median"].abs() < 10.0).all()
+    events = {f"/{path.stem}": arrays(load_events(path).events) for path in files[:2]}
+    bag = write_bag(tmp_path / "bag", events)
+    run("study", "spread", bag / "cam1", bag / "cam2", files[2], *folders, "--workers", 1)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "spread_runs.csv"), runs)
