@@ -11,7 +11,7 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 from experiments.lab.code import ROOT, package_versions
-from experiments.lab.results import PROVENANCE, save_text
+from experiments.lab.results import PROVENANCE, File
 from sim.render.gl_context import GLContext
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh",
@@ -81,6 +81,7 @@ def provenance(
     }
 
 
-def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a finished provenance beside the file of a result."""
-    save_text(path.with_suffix(PROVENANCE), json.dumps(plain(content), indent=1) + "\n")
+def provenance_file(of: str, content: Mapping[str, Any]) -> File:
+    """Return a finished provenance as the file beside a table, or of pictures by a name of all."""
+    text = json.dumps(plain(content), indent=1) + "\n"
+    return f"{of.removesuffix('.csv')}{PROVENANCE}", text.encode()

@@ -29,6 +29,7 @@ MERGED = "ssac merge"  # command in the provenance of joined shards, which holds
 SUMS_FILE = "SHA256SUMS"
 DIGITS = 6  # significant digits of a table's numbers
 DPI = 220
+File = tuple[str, bytes | None]  # name and content; None: there is to be no such file
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
 
 
@@ -148,16 +149,33 @@ def png_bytes(figure: "Figure") -> bytes:
     return small.getvalue()
 
 
+def save_files(out: Path, files: Iterable[File], has_sums: bool = True) -> list[Path]:
+    """Write files as they come, so that one may follow from those before, then their checksums.
+
+    Return the paths of all that were written, provenances aside.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, content in files:
+        path = out / name
+        if content is None:
+            path.unlink(missing_ok=True)
+            continue
+        with whole_file(path) as temporary:
+            temporary.write_bytes(content)
+        written.append(path)
+    if has_sums:
+        record_checksums(out, written)
+    return [path for path in written if not path.name.endswith(PROVENANCE)]
+
+
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
-    """Update the checksums of some files and of their provenances; those of other files stay."""
+    """Update the checksums of some files; those of other files stay."""
     lock = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)  # until the file is closed, against other commands
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
-        for path in paths:
-            beside = path.with_suffix(PROVENANCE)
-            for one in {path, beside} if beside.exists() else {path}:
-                sums[one.relative_to(folder).as_posix()] = sha256(one)
+        sums |= {path.relative_to(folder).as_posix(): sha256(path) for path in paths}
         kept = {name: digest for name, digest in sums.items() if (folder / name).exists()}
         lines = [f"{digest}  {name}\n" for name, digest in sorted(kept.items())]
         save_text(folder / SUMS_FILE, "".join(lines))

@@ -8,7 +8,7 @@ of their file, with its rounded numbers, so that anyone who has the file makes t
 
 import json
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from inspect import Parameter, signature
@@ -19,24 +19,24 @@ import pandas as pd
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure, PlainCell
-from experiments.lab.provenance import provenance, write_provenance
+from experiments.lab.provenance import provenance, provenance_file
 from experiments.lab.results import (
     DIGITS,
     MERGED,
     PROVENANCE,
     SUMS_FILE,
+    File,
     Results,
     csv_text,
     png_bytes,
     read_checksums,
     read_table,
-    record_checksums,
-    save_text,
+    save_files,
 )
 from experiments.lab.schedule import Outcome, Workers, run_alone, run_cells, tasks_of
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
-from ssac.files.whole_file import check_folder, whole_file
+from ssac.files.whole_file import check_folder
 from ssac.pipeline.registry import OURS
 
 if TYPE_CHECKING:
@@ -238,7 +238,6 @@ def save_study(
     config = {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
     outcome = run_study(study, cache, workers, shard, given)
     rows = kept.table(outcome.runs, Results(out)) if kept.table else outcome.runs
-    save_text(out / kept.file, runs_text(kept, rows, shard))
     content = provenance(
         study.command_line(given, shard),
         config | ({"options": others} if others else {}),
@@ -247,40 +246,34 @@ def save_study(
         recordings_simulated=outcome.n_simulated,
         peak_mb_per_worker=round(outcome.peak_mb),
     )
-    return outcome, save_made(study, out, cache, content, shard == WHOLE, given)
+    text = runs_text(kept, rows, shard)
+    return outcome, save_made(study, out, cache, text, content, shard == WHOLE, given)
 
 
 def save_made(
     study: Study,
     out: Path,
     cache: Cache,
+    runs: str,
     content: Mapping[str, Any],
     is_whole: bool = True,
     options: Options | None = None,
 ) -> list[Path]:
-    """Write the files made from the rows beside them, and each table's provenance; return paths."""
-    assert study.runs is not None
-    written = [out / study.runs.file]
-    write_provenance(written[0], content)
-    if not is_whole:
-        return written
-    results = Results(out)
-    for made in study.makes:
-        path = out / made.file
-        folders = [cache.recording_folder(*flight) for flight in made.filmed(options)]
-        made_bytes = made.bytes_of(results, *folders)
-        if made_bytes is None:
-            path.unlink(missing_ok=True)
-            continue
-        with whole_file(path) as temporary:
-            temporary.write_bytes(made_bytes)
-        written.append(path)
-        if made.file.endswith(".csv"):
-            config = content["config"] if made.config is None else dict(made.config)
-            write_provenance(path, {**content, "config": config})
-    if study.is_committed:
-        record_checksums(out, written)
-    return written
+    """Write the rows, the files made from them, and each table's provenance; return their paths."""
+    kept, results = study.runs, Results(out)
+    assert kept is not None
+
+    def files() -> Iterator[File]:
+        yield kept.file, runs.encode()
+        yield provenance_file(kept.file, content)
+        for made in study.makes if is_whole else ():
+            folders = [cache.recording_folder(*flight) for flight in made.filmed(options)]
+            yield made.file, made.bytes_of(results, *folders)
+            if made.file.endswith(".csv"):
+                config = content["config"] if made.config is None else made.config
+                yield provenance_file(made.file, {**content, "config": config})
+
+    return save_files(out, files(), study.is_committed and is_whole)
 
 
 def runs_text(kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE) -> str:
@@ -366,9 +359,9 @@ def merge(
     text = [headers[0], *(lines[number][0] for number in range(n_cells))]
     if not study.runs.numbered:
         text = [line.partition(",")[2] for line in text]
-    save_text(out, "\n".join(text) + "\n")
     content = {"command": MERGED, "config": wholes[0], "shards": provenances}
-    return save_made(study, out.parent, cache, content, options=wholes[0].get("options"))
+    runs, options = "\n".join(text) + "\n", wholes[0].get("options")
+    return save_made(study, out.parent, cache, runs, content, options=options)
 
 
 def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:

@@ -28,7 +28,7 @@ from experiments.lab.summary import answered, digits
 from experiments.paper.comparison import VERDICTS
 from experiments.paper.esim import ERRORS, esim_tables
 from experiments.paper.page import page_content
-from experiments.studies.figures import FLIGHT, SEED, ResultsOption
+from experiments.studies.figures import FLIGHT, SEED
 from experiments.studies.tables import comparison, runs_of
 from ssac.cli.options import named
 from ssac.errors import SsacError
@@ -54,7 +54,7 @@ _SOUND_SHARE = 0.9  # least share of runs with an estimate for the best method
 
 
 def report_command(
-    results: ResultsOption = Path("results"),
+    results: Annotated[Path, named("FOLDER", "Folder with the results.")] = Path("results"),
     cache: CacheOption = DEFAULT_FOLDER,
     out: Annotated[Path, named("FILE", "HTML to write.")] = Path("out/report.html"),
 ) -> None:

@@ -5,7 +5,7 @@ study. The same runs and recordings give a picture of the same bytes.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,8 +17,8 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
 from experiments.lab.command import CacheOption, OutOption
 from experiments.lab.grid import flight_seed
-from experiments.lab.provenance import provenance, write_provenance
-from experiments.lab.results import PROVENANCE, Results, record_checksums
+from experiments.lab.provenance import provenance, provenance_file
+from experiments.lab.results import PROVENANCE, File, Results, save_files
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Study
 from experiments.studies import all_studies
@@ -27,7 +27,6 @@ from sim.render.gl_context import context_or_none
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.errors import SsacError
-from ssac.files.whole_file import whole_file
 
 COMMAND = "ssac figures"
 
@@ -86,41 +85,35 @@ def config(some: Sequence[Made] = _OF_RECORDINGS) -> dict[str, Any]:
     return {"figures": list(flown), "recordings": flown, "flight": 0}
 
 
-ResultsOption = Annotated[Path, typer.Option(help="Folder with the results.", metavar="FOLDER")]
-
-
 def figures_command(
     names: Annotated[
         list[str] | None,
         typer.Argument(help="Figures to draw, by file name.  [default: all]", metavar="NAME"),
     ] = None,
-    results: ResultsOption = Path("results"),
     cache: CacheOption = DEFAULT_FOLDER,
     out: OutOption = Path("results"),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all figures that follow from the CSVs, anew."""
     start = time.perf_counter()
     chosen = choose(names or ())
-    out.mkdir(parents=True, exist_ok=True)
-    for made in chosen.values():
-        folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
-        try:
-            picture = made.bytes_of(Results(results), *folders)
-        except SsacError as error:
-            raise SsacError(f"{made.file}: {error}") from error
-        with whole_file(out / made.file) as temporary:
-            temporary.write_bytes(picture or b"")
-        typer.echo(f"written to {out / made.file}")
-    written = [out / made.file for made in chosen.values()]
-    filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
-    beside = out / f"figures{PROVENANCE}"
-    # Studies write the provenance of the others; that of all of these outlives one drawn anew.
-    if filmed and (len(filmed) == len(_OF_RECORDINGS) or not beside.exists()):
-        line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
-        content = provenance(line, config(filmed), took_s, context_or_none())
-        write_provenance(out / "figures.png", content)
-        written.append(beside)
-    record_checksums(out, written)
+
+    def files() -> Iterator[File]:
+        for made in chosen.values():
+            folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
+            try:
+                yield made.file, made.bytes_of(Results(out), *folders)
+            except SsacError as error:
+                raise SsacError(f"{made.file}: {error}") from error
+        filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
+        # Studies write the provenance of the others; that of all of these outlives one drawn anew.
+        is_there = (out / f"figures{PROVENANCE}").exists()
+        if filmed and (len(filmed) == len(_OF_RECORDINGS) or not is_there):
+            line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
+            content = provenance(line, config(filmed), took_s, context_or_none())
+            yield provenance_file("figures", content)
+
+    for path in save_files(out, files()):
+        typer.echo(f"written to {path}")
 
 
 def choose(names: Sequence[str]) -> dict[str, Made]:

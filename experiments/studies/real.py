@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from experiments.drawing.style import ACCENT, Axes, Figure, panels, quiet_axes
 from experiments.lab.command import OutOption
-from experiments.lab.provenance import provenance, write_provenance
-from experiments.lab.results import Results, csv_text, png_bytes, record_checksums, save_text
+from experiments.lab.provenance import provenance, provenance_file
+from experiments.lab.results import File, Results, csv_text, png_bytes, save_files
 from experiments.lab.scored import SCORED
 from experiments.lab.study import How, Made, Runs, Study
 from experiments.lab.summary import markdown_table, quoted_of, shown_table
@@ -33,7 +33,6 @@ from ssac.clock import PPM, Clock
 from ssac.config import CLOCKS
 from ssac.errors import SsacError
 from ssac.estimate import Status
-from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.network.graph import closures_s
 
@@ -94,14 +93,15 @@ def real_command(
             )
     tables = {**tracks.pair_tables(sets), PATHS: pd.DataFrame(paths, columns=COLUMNS[PATHS])}
     content = provenance(COMMAND, config(), time.perf_counter() - start_s, None)
-    for name, table in tables.items():
-        save_text(out / f"{name}.csv", csv_text(table, _DIGITS))
-        write_provenance(out / f"{name}.csv", content)
-    pictures[OFFSETS_FIGURE] = png_bytes(real_figure(Results(out)))
-    for file, picture in pictures.items():
-        with whole_file(out / file) as temporary:
-            temporary.write_bytes(picture)
-    record_checksums(out, [out / file for file in STUDIES[0].files])
+
+    def files() -> Iterator[File]:
+        for name, table in tables.items():
+            yield f"{name}.csv", csv_text(table, _DIGITS).encode()
+            yield provenance_file(name, content)
+        yield from pictures.items()
+        yield OFFSETS_FIGURE, png_bytes(real_figure(Results(out)))
+
+    save_files(out, files())
     statuses = tables[PAIRS]["status"]
     answered = statuses.isin(OFFSET_GIVEN).sum()
     typer.echo(f"{answered} of {len(statuses)} pairs answered; {out / PAIRS}.csv")

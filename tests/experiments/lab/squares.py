@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 from experiments.lab.provenance import provenance
-from experiments.lab.results import Results, csv_text, record_checksums, save_text
+from experiments.lab.results import Results, csv_text
 from experiments.lab.study import Made, Runs, Study, save_made
 from experiments.lab.verify import between
 from tests.experiments.reported import PROVENANCE
@@ -66,13 +66,11 @@ SQUARES = Study(
 
 def write_squares(folder: Path) -> None:
     """Write the files that `ssac study squares` writes."""
-    folder.mkdir(parents=True)
     rows = [{**cell.columns, **vars(squared(cell, None))} for cell in SQUARES.cells()]
     table = pd.DataFrame(rows).reset_index(names="cell")
-    save_text(folder / "squares_runs.csv", csv_text(table))
     content = provenance("ssac study squares", {"study": "squares", **SQUARES.config}, 1.0, None)
     content |= {name: PROVENANCE[name] for name in ("commit", "gl")}
-    record_checksums(folder, save_made(SQUARES, folder, Cache(folder / "none"), content))
+    save_made(SQUARES, folder, Cache(folder / "none"), csv_text(table), content)
 
 
 def process_row(cell: SquareCell, loaded: object) -> SquareRow:

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from experiments.lab import provenance
-from experiments.lab.results import SUMS_FILE, read_checksums, record_checksums, sha256
+from experiments.lab.results import SUMS_FILE, read_checksums, record_checksums, save_files, sha256
 from ssac.errors import SsacError
 
 
@@ -16,9 +16,7 @@ def written(folder, name, text="1"):
 
 
 def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path):
-    table = written(tmp_path, "a.csv")
-    written(tmp_path, "a.provenance.json", "{}")
-    record_checksums(tmp_path, [table])
+    (table,) = save_files(tmp_path, [("a.csv", b"1"), provenance.provenance_file("a.csv", {})])
     assert list(read_checksums(tmp_path)) == ["a.csv", "a.provenance.json"]
     subprocess.run(["sha256sum", "--check", SUMS_FILE], cwd=tmp_path, check=True)
     before = read_checksums(tmp_path)["a.csv"]
@@ -26,8 +24,8 @@ def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path):
     record_checksums(tmp_path, [written(tmp_path, "b.png", "3")])
     assert read_checksums(tmp_path)["a.csv"] == before != sha256(table)
     table.unlink()
-    record_checksums(tmp_path, [tmp_path / "b.png"])
-    assert "a.csv" not in read_checksums(tmp_path)
+    save_files(tmp_path, [("b.png", None)])
+    assert list(read_checksums(tmp_path)) == ["a.provenance.json"]
 
 
 def test_commands_that_write_at_once_lose_no_note(tmp_path):

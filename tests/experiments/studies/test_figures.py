@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab.results import csv_text, read_checksums
+from experiments.lab.results import Results, csv_text, read_checksums
 from experiments.lab.study import Made
 from experiments.studies import figures
 from ssac.errors import SsacError
+from tests.experiments.command import run
 from tests.experiments.reported import RESULTS, made_up_runs
 
 
@@ -34,25 +35,21 @@ def test_a_figure_that_is_drawn_anew_leaves_the_provenance_of_all(tmp_path, monk
     monkeypatch.setattr(figures, "choose", lambda of: {one: every[one] for one in of or every})
     written = set()
     for names in (None, ["one"]):
-        figures.figures_command(names, tmp_path, out=tmp_path)
+        figures.figures_command(names, tmp_path, tmp_path)
         written.add((tmp_path / "figures.provenance.json").read_text())
     assert len(written) == 1
 
 
-def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, capsys) -> None:
+def test_a_figure_is_drawn_from_the_table_beside_it_the_same_every_time(tmp_path: Path) -> None:
     (tmp_path / "runs.csv").write_text(csv_text(made_up_runs(("ssac", "tangency"), 2)))
-    pictures = []
-    for out in (tmp_path / "first", tmp_path / "second"):
-        figures.figures_command(["beyond_paper"], tmp_path, out=out)
-        assert capsys.readouterr().out == f"written to {out / 'beyond_paper.png'}\n"
-        pictures.append((out / "beyond_paper.png").read_bytes())
-    assert pictures[0] == pictures[1]
-    assert len(pictures[0]) < 200_000
-    first = tmp_path / "first"
+    path = tmp_path / "beyond_paper.png"
+    assert run("figures", path.stem, "--out", tmp_path) == f"written to {path}\n"
+    assert path.read_bytes() == figures.drawings()[path.stem].bytes_of(Results(tmp_path))
+    assert path.stat().st_size < 200_000
     # The table has a provenance; a figure has none, as it is no new run.
-    assert set(read_checksums(first)) == {"beyond_paper.png"}
-    assert {path.name for path in first.iterdir()} == {"beyond_paper.png", "SHA256SUMS"}
+    assert set(read_checksums(tmp_path)) == {path.name}
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, "runs.csv", "SHA256SUMS"}
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
-    for results in (tmp_path, tmp_path / "none"):
+    for out in (tmp_path, tmp_path / "none"):
         with pytest.raises(SsacError, match=r"error_vs_angle.png: .*runs.csv"):
-            figures.figures_command(["error_vs_angle"], results, out=tmp_path)
+            run("figures", "error_vs_angle", "--out", out)

@@ -4,7 +4,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ import pytest
 
 from experiments.lab.cell import CRASHED, Flight
 from experiments.lab.grid import Cell, config_names, flight_seed, named_config
-from experiments.lab.provenance import write_provenance
+from experiments.lab.provenance import provenance_file
 from experiments.lab.results import Results, csv_text
 from experiments.lab.study import How
 from experiments.lab.verify import cells_of, study_findings
@@ -61,9 +60,9 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_the_provenance_of_every_file_can_be_written(name: str, tmp_path: Path) -> None:
+def test_the_provenance_of_every_file_can_be_written(name: str) -> None:
     for file, config in STUDIES[name].provenances.items():
-        write_provenance(tmp_path / file, {"config": config})
+        provenance_file(file, {"config": config})
 
 
 RUN = "method == 'ssac' and t_d_ms == 500 and status == 'ok'"
