@@ -48,15 +48,16 @@ print(result.summary())
 
 # %%
 # The status says whether the numbers are to be trusted, and the deviations, "1 sigma", how far. As
-# this recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
+# this recording was simulated we can see for ourselves: `scored` sets an estimate beside the truth.
 
-from experiments.lab.score import score
+from experiments.lab.score import Truth, scored
 
-truth = recording.truth
+flown = recording.truth
+truth = Truth(flown.t_d_s, flown.R, flown.t)
 estimate = result.estimate
-errors = score(estimate, truth.t_d_s, truth.R, truth.t)
-print(f"offset off by {errors.t_d_error_ms:.3f} ms")
-print(f"R off by {errors.r_error_deg:.3f} deg, t by {errors.t_error_deg:.3f} deg")
+errors = scored(estimate, truth)
+print(f"offset off by {errors['t_d_error_ms']:.3f} ms")
+print(f"R off by {errors['r_error_deg']:.3f} deg, t by {errors['t_error_deg']:.3f} deg")
 
 # %%
 # `report` writes all of it as `one page <report.html>`_ with a player of both streams, which needs
@@ -154,7 +155,7 @@ def mean_rows(events: np.ndarray) -> np.ndarray:
 
 
 own = heights(cam1, cam2, rig, None)
-off_ms = score(own, truth.t_d_s, truth.R, truth.t).t_d_error_ms
+off_ms = scored(own, truth)["t_d_error_ms"]
 print(f"heights: {1e3 * own.t_d_s:.0f} ms, off by {off_ms:.1f} ms")
 
 # %%

@@ -39,22 +39,13 @@ class Truth:
         return self.t_d_s + 1e-6 * self.skew_ppm * since_s
 
 
-@dataclass(frozen=True)
-class Score:
-    """Errors of an estimate; NaN for a quantity that it does not give."""
-
-    t_d_error_ms: float  # |estimate - truth|
-    r_error_deg: float  # angle of R_est' R_true
-    t_error_deg: float  # angle between the translation directions, sign included
-
-
 def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str, Any]:
     """Return all columns of an estimate's scores, NaN for a quantity that it does not give.
 
-    Without `has_pose` the pose's columns are left out: a pose that was given has no error.
+    Without `has_pose` the pose's columns are left out: a pose that was given has no error. That of
+    R is the angle of R_est' R_true, that of t the angle between the directions, sign included.
     """
-    t_d_s = truth.t_d_of(estimate)
-    errors = vars(score(estimate, t_d_s, truth.R, truth.t))
+    t_d_s, R, t = truth.t_d_of(estimate), truth.R, truth.t
     skew_error_ppm = estimate.skew_ppm - truth.skew_ppm
     columns = {
         "status": str(estimate.status),
@@ -62,7 +53,7 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
         "n_samples": estimate.n_samples,
         "d_avg_px": estimate.d_avg_px,
         "t_d_estimate_ms": 1e3 * estimate.t_d_s,
-        "t_d_error_ms": errors["t_d_error_ms"],
+        "t_d_error_ms": abs(estimate.t_d_s - t_d_s) * 1e3,
         "t_d_std_ms": 1e3 * estimate.t_d_std_s,
         "t_d_normalised": _over(estimate.t_d_s - t_d_s, estimate.t_d_std_s),
         "skew_ppm": estimate.skew_ppm,
@@ -70,7 +61,13 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
         "skew_error_ppm": abs(skew_error_ppm),
         "skew_normalised": _over(skew_error_ppm, estimate.skew_std_ppm),
     }
-    return columns | errors | pose_score(estimate, truth.R, truth.t) if has_pose else columns
+    if not has_pose:
+        return columns
+    errors = {
+        "r_error_deg": np.nan if estimate.R is None else rotation_angle_deg(estimate.R.T @ R),
+        "t_error_deg": np.nan if estimate.t is None else angle_between_deg(estimate.t, t),
+    }
+    return columns | errors | pose_score(estimate, R, t)
 
 
 def kept(row_type: type, columns: dict[str, Any]) -> dict[str, Any]:
@@ -83,17 +80,8 @@ def _over(error: float, std: float) -> float:
     return error / std if std else np.nan
 
 
-def score(estimate: Estimate, t_d_s: float, R: Array, t: Array) -> Score:
-    """Score an estimate: `t_cam2 = t_cam1 + t_d` [s], x2 = R x1 + t with t (3,) of length 1."""
-    return Score(
-        t_d_error_ms=abs(estimate.t_d_s - t_d_s) * 1e3,
-        r_error_deg=np.nan if estimate.R is None else rotation_angle_deg(estimate.R.T @ R),
-        t_error_deg=np.nan if estimate.t is None else angle_between_deg(estimate.t, t),
-    )
-
-
 def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
-    """Return POSE_SCORES of an estimate, NaN without covariance; parameters as for `score`."""
+    """Return POSE_SCORES of an estimate, NaN without covariance; R and t as in `Truth`."""
     if estimate.covariance is None or estimate.R is None or estimate.t is None:
         return dict.fromkeys(POSE_SCORES, np.nan)
     errors_rad = -pose_step(estimate.R, estimate.t, R, t)

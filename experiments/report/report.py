@@ -23,7 +23,7 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import CacheOption
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE, Results, save_text
-from experiments.lab.score import score
+from experiments.lab.score import Truth, scored
 from experiments.lab.summary import answered, digits
 from experiments.paper.comparison import VERDICTS
 from experiments.paper.esim import ERRORS, esim_tables
@@ -141,7 +141,7 @@ def make_animation(folder: Path) -> dict[str, Any]:
     before_px, after_px = d_avg_px(answer, np.array([0.0, estimate.t_d_s])).tolist()
     return {
         "estimate": estimate,
-        "errors": score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"])),
+        "errors": scored(estimate, Truth(T_D_S, np.array(truth["R"]), np.array(truth["t"]))),
         "before_px": before_px,
         "after_px": after_px,
         "player": html_report.player_of(answers, html_report.seen_by(answers), tour=True),

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.lab.provenance import plain
-from experiments.lab.score import score
+from experiments.lab.score import Truth, scored
 from experiments.scenes.options import MAX_SEED
 from experiments.scenes.simulate import drawable, record_with_progress, summary
-from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.cli.options import number
 from ssac.cli.progress import compilation_told
@@ -46,8 +45,10 @@ def demo_command(
             sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml", method)
             for method in METHODS
         ]
+    flown = recorded.flight.truth
     for result in results:
-        typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
+        truth = Truth(flown.t_d_s, flown.R, flown.t)
+        typer.echo("\n" + comparison(result.estimate, truth))
     last = results[-1]
     written = [
         *save_figures(out_dir / "demo.png", last.answer, only="epipolar"),
@@ -70,14 +71,14 @@ def comparison(estimate: Estimate, truth: Truth) -> str:
     """Format an estimate beside the ground truth, with its errors."""
     if estimate.status != "ok" or estimate.R is None or estimate.t is None:
         return f"{estimate.method}: {estimate.status}: {estimate.reason}"
-    errors = score(estimate, truth.t_d_s, truth.R, truth.t)
+    errors = scored(estimate, truth)
     rows = [
         ("", "estimate", "truth", "error"),
         ("t_d", f"{1e3 * estimate.t_d_s:.3f} ms", f"{1e3 * truth.t_d_s:.3f} ms",
-         f"{errors.t_d_error_ms:.3f} ms"),
+         f"{errors['t_d_error_ms']:.3f} ms"),
         ("R", *(f"{_vector(Rotation.from_matrix(R).as_rotvec(degrees=True))} deg"
-                for R in (estimate.R, truth.R)), f"{errors.r_error_deg:.3f} deg"),
-        ("t", _vector(estimate.t), _vector(truth.t), f"{errors.t_error_deg:.3f} deg"),
+                for R in (estimate.R, truth.R)), f"{errors['r_error_deg']:.3f} deg"),
+        ("t", _vector(estimate.t), _vector(truth.t), f"{errors['t_error_deg']:.3f} deg"),
     ]  # fmt: skip
     lines = [f"{name:4}{a:>30}{b:>30}{c:>12}" for name, a, b, c in rows]
     head = f"{estimate.method}: {estimate.n_samples} samples, d_avg {estimate.d_avg_px:.3f} px"

@@ -15,7 +15,7 @@ import pytest
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import observations, rig_of
-from experiments.lab.score import score
+from experiments.lab.score import Truth, scored
 from experiments.studies.by_hand import drawn, load_tried
 from sim.recording import simulate
 from sim.scene.trajectory import SplineConfig
@@ -36,10 +36,10 @@ simulated = cache(partial(simulate, seed=1))
 
 def assert_close(estimate, truth, t_d_s):
     assert estimate.status == "ok", estimate.reason
-    errors = score(estimate, t_d_s, truth.R, truth.t)
-    assert errors.t_d_error_ms < 1e3 * T_D_S
-    assert np.isnan(errors.r_error_deg) or errors.r_error_deg < R_DEG
-    assert np.isnan(errors.t_error_deg) or errors.t_error_deg < T_DEG
+    errors = scored(estimate, Truth(t_d_s, truth.R, truth.t))
+    assert errors["t_d_error_ms"] < 1e3 * T_D_S
+    assert np.isnan(errors["r_error_deg"]) or errors["r_error_deg"] < R_DEG
+    assert np.isnan(errors["t_error_deg"]) or errors["t_error_deg"] < T_DEG
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.lab.score import angle_between_deg, pose_score, rotation_angle_deg, score
+from experiments.lab.score import Truth, angle_between_deg, pose_score, rotation_angle_deg, scored
 from ssac.estimate import Estimate
 from ssac.geometry.pose import moved_pose, pose_step
 
@@ -29,8 +29,8 @@ def test_errors_have_their_units_and_directions_and_what_is_not_given_is_nan():
     estimate = Estimate("m", t_d_s=0.0498, R=R @ turn(0.5), t=-t)
     without = Estimate("m", t_d_s=0.06)
     for one, errors in ((estimate, (0.2, 0.5, 180.0)), (without, (10.0, np.nan, np.nan))):
-        found = score(one, 0.05, R, t)
-        of = found.t_d_error_ms, found.r_error_deg, found.t_error_deg
+        found = scored(one, Truth(0.05, R, t))
+        of = [found[name] for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")]
         assert of == pytest.approx(errors, nan_ok=True)
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from experiments.lab.provenance import plain
+from experiments.lab.score import Truth
 from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
 from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
 from sim.errors import SimError
-from sim.recorded import Truth
 from sim.recording import SimConfig, simulate
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
@@ -21,9 +21,8 @@ from tests.sim.scenes import COARSE
 
 
 def test_the_comparison_shows_estimate_truth_and_error():
-    at_rest = {"times_s": np.zeros(1), "T_W_B": np.eye(4)[None], "centres_px": np.zeros((2, 1, 2))}
     pose = {"R": np.eye(3), "t": np.array([1.0, 0.0, 0.0])}
-    truth = Truth(t_d_s=0.05, baseline_m=7.0, **pose, **at_rest)
+    truth = Truth(t_d_s=0.05, **pose)
     estimate = Estimate("ssac", t_d_s=0.0512, n_samples=9, d_avg_px=0.4, **pose)
     head, _, t_d, R, t = comparison(estimate, truth).splitlines()
     assert head == "ssac: 9 samples, d_avg 0.400 px"
