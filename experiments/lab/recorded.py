@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
 from sim.errors import SimError
-from sim.recorded import Flight, Recording
+from sim.recorded import Recording
 from sim.recording import SimConfig
 from sim.scene.drone import drone_from_file
 from ssac.arrays import Array
@@ -180,7 +180,7 @@ def observations(recording: Recording) -> tuple[Observation, Observation]:
     return first, second
 
 
-def rig_of(recording: Recording | Flight, with_extrinsics: bool = False) -> Rig:
+def rig_of(recording: Recording, with_extrinsics: bool = False) -> Rig:
     """Return the intrinsics, and the true extrinsics only when asked for."""
     cam1, cam2 = (
         Camera(one.K, one.width, one.height, one.distortion_model, one.distortion_coeffs)

@@ -174,9 +174,6 @@ OPTIONS: Mapping[str, SimOption] = {
     )),
     "gl": _of("render.backend", named("NAME", "GL backend: auto, osmesa or egl.")),
     "text": _own(bool, False, flag("text", "Write ESIM text files too.")),
-    "figures": _own(bool, False, flag(
-        "figures", "Print statistics of the scene beside those of the authors' sample."
-    )),
 }  # fmt: skip
 """Options by the name of the command's parameter, in the order of the help."""
 

@@ -7,20 +7,19 @@ import numpy as np
 import typer
 
 from experiments.lab.recorded import observations, rig_of
+from experiments.lab.summary import markdown_table
 from experiments.scenes.options import MAX_SEED
-from sim.recorded import Flight, Recording, Truth
+from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import Array, Events
 from ssac.camera import known_pose
 from ssac.cli.options import named, number
-from ssac.clock import Clock
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
-from ssac.track.observation import Observation
 
 SLOPE_STEP_S = 0.010  # d_avg's slope is measured from 10 ms on each side of the truth
 _WIDTH_QUANTILES = (0.01, 0.99)  # of the events' x in a window: its width without outliers
@@ -53,18 +52,13 @@ class SceneFigures:
 
 
 def scene_figures(recording: Recording) -> SceneFigures:
-    """Return the statistics of a recording."""
-    return pair_figures(*observations(recording), recording)
-
-
-def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneFigures:
-    """Return the statistics of a flight's first two cameras; SsacError if nothing is seen."""
-    config, rig, clock = Config(), rig_of(flight, with_extrinsics=True), _true_clock(flight.truth)
-    chain = Chain((cam1, cam2), rig, config)
-    views = chain.views().under(clock)
+    """Return the statistics of a recording; SsacError if nothing is seen."""
+    config, rig, t_d_s = Config(), rig_of(recording, with_extrinsics=True), recording.truth.t_d_s
+    chain = Chain(observations(recording), rig, config)
+    views = chain.views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     seen, offsets_s = [chain.clean(k).events for k in range(2)], [-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]
-    pairs = views.pairs(clock.t_d_s + np.array(offsets_s)) if all(map(len, seen)) else None
+    pairs = views.pairs(t_d_s + np.array(offsets_s)) if all(map(len, seen)) else None
     if pairs is None or not pairs.valid.any(axis=1).all():
         raise SsacError(
             "no figures: at no sample time do both cameras see the drone well enough: fly longer, "
@@ -74,7 +68,7 @@ def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneF
     before, mean, after = (np.mean(of_offset) for of_offset in distances)
     times_s = pairs.times_s[1][pairs.valid[1]]
     velocities, widths = [], []
-    shown_s = times_s, views.on_clock_2(times_s, clock.t_d_s)
+    shown_s = times_s, views.on_clock_2(times_s, t_d_s)
     for k, (motion, at_s) in enumerate(zip(views.motions, shown_s, strict=True)):
         velocities.append(motion.velocities_at(at_s))
         widths += _widths_px(seen[k], at_s, config.half_window_s)
@@ -87,7 +81,7 @@ def pair_figures(cam1: Observation, cam2: Observation, flight: Flight) -> SceneF
         slope_px=float((before + after) / 2 - mean),
         narrow_px=float(np.percentile(widths, 5)),
         wide_px=float(np.percentile(widths, 95)),
-        n_events=float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
+        n_events=float(np.mean([len(camera.events) for camera in recording.cameras])),
     )
 
 
@@ -103,24 +97,9 @@ def scene_command(
     for flight in range(seeds):
         typer.echo(f"flight {flight + 1} of {seeds}", err=True)
         rows.append(astuple(scene_figures(simulate(config, first_seed + flight))))
-    typer.echo(scene_table(SceneFigures(*np.mean(rows, axis=0))))
-
-
-def scene_table(figures: SceneFigures) -> str:
-    """Format the statistics beside those of the authors' sample, as a Markdown table."""
-    from experiments.lab.summary import markdown_table
-
-    rows = [(name, theirs, ours.format_map(vars(figures))) for name, theirs, ours in SHOWN]
-    return markdown_table(("quantity", "authors' sample", "ours"), rows)
-
-
-def _true_clock(truth: Truth) -> Clock:
-    """Return camera 2's clock, a jump of it as a step between two knots."""
-    jump = truth.drift.jump
-    knots_s = [] if jump is None else [np.nextafter(jump[0], 0.0), jump[0]]
-    strays_s = [] if jump is None else [0.0, jump[1]]
-    affine = truth.t_d_s, truth.drift.skew_ppm, truth.drift.t_ref_s
-    return Clock(*affine, np.array(knots_s), np.array(strays_s))
+    means = vars(SceneFigures(*np.mean(rows, axis=0)))
+    shown = [(name, theirs, ours.format_map(means)) for name, theirs, ours in SHOWN]
+    typer.echo(markdown_table(("quantity", "authors' sample", "ours"), shown))
 
 
 def _widths_px(events: Events, times_s: Array, half_window_s: float) -> list[float]:

@@ -12,7 +12,6 @@ from experiments.lab.cache import recording_bytes
 from experiments.lab.provenance import plain, versions
 from experiments.lab.recorded import check_mesh
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
-from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
 from sim.recorded import Flight
@@ -25,11 +24,9 @@ from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, partial_parent, record
 from ssac.cli.options import argument, with_options
 from ssac.cli.progress import compilation_told, progress
-from ssac.files.hdf5 import load_events_h5
 from ssac.files.whole_file import check_folder, remove_left_over
 from ssac.network.tum import Path as SpacePath
 from ssac.network.tum import write_path
-from ssac.track.observation import Observation
 
 
 @dataclass(frozen=True)
@@ -97,13 +94,6 @@ def simulate_command(
     remove_left_over(partial_parent(out_dir), out_dir.resolve().name)
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
     typer.echo(summary(recorded, out_dir))
-    if given["figures"]:
-        flight = recorded.flight
-        cam1, cam2 = (
-            Observation(load_events_h5(out_dir / f"{camera.name}.h5").events)
-            for camera in flight.rig.cameras[:2]
-        )
-        typer.echo(scene_table(pair_figures(cam1, cam2, flight)))
 
 
 def drawable(config: SimConfig) -> SimConfig:

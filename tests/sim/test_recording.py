@@ -14,6 +14,7 @@ from sim.scene.flyers import DRONES, built_in_drone
 from sim.scene.trajectory import random_spline, trajectory_from_csv, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
+from ssac.clock import Clock
 from tests.sim.scenes import QUICK, counts, rng
 
 pytestmark = pytest.mark.render
@@ -154,6 +155,8 @@ def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm):
     expected_us = skew_ppm * 1e-6 * (times_us - 1e6)
     # Half a microsecond by rounding, and the last digits of a float.
     np.testing.assert_allclose(drift.added_us(times_us), expected_us, rtol=0, atol=0.5 + 1e-6)
+    added_s = Clock(skew_ppm=skew_ppm, t_ref_s=1.0).added_s(1e-6 * times_us)  # by the estimator's
+    np.testing.assert_allclose(1e6 * added_s, expected_us, rtol=0, atol=1e-6)
     dense_us = np.arange(0, 50_000)
     assert np.diff(dense_us + drift.added_us(dense_us)).min() >= 0
 

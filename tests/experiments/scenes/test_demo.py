@@ -66,11 +66,8 @@ def test_figures_are_those_of_the_truth():
     assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
     # The figures do not depend on the time offset.
     assert scene_figures(simulate(replace(config, t_d_s=0.25), 0)) == figures
-    # Nor on the rate and the jump of camera 2's clock, but for other sample times; nor the width on
-    # noise, but for what denoising leaves or takes too much.
-    fast = simulate(replace(config, skew_ppm=5000.0, clock_jump=(2.0, 0.1)), 0)
+    # Nor does the width depend on noise, but for what denoising leaves or takes too much.
     noisy = simulate(replace(config, sensor=PRESETS["davis346"]), 0)
-    assert scene_figures(fast).mean_distance_px == pytest.approx(figures.mean_distance_px, rel=0.1)
     assert scene_figures(noisy).wide_px == pytest.approx(figures.wide_px, rel=0.2)
     # 5 events a camera make no valid sample.
     few = [replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras]
