@@ -469,7 +469,12 @@ STUDIES = (
             f"by_hand.{name}": quoted("by_hand", f"{{{name}:.0f}}", kind="all")
             for name in ("recordings", "right", "wrong", "settled", "beyond")
         }
-        | {"by_hand.held": quoted("by_hand", _ALL_HELD, kind="all")},
+        | {
+            "by_hand.held": quoted("by_hand", _ALL_HELD, kind="all"),
+            "by_hand.wrong_rigs": quoted(
+                "by_hand", "{settled:.0f} and {beyond:.0f}", kind=WRONG_RIG
+            ),
+        },
     ),
 )
 
