@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trimesh.creation import box
 
-from experiments.lab.cache import BRIGHTNESS_CODE, Cache, row_of_text, text_of_row
+from experiments.lab.cache import row_of_text, text_of_row
 from experiments.lab.grid import CONFIGS, load_config
 from experiments.lab.recorded import check_mesh, load_truth
 from sim.errors import SimError
@@ -118,7 +118,6 @@ FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
     f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)
 )
 ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
-MEANS = {"cam1": np.arange(50) / 50.0, "times1_us": np.arange(50)}
 
 
 def text(content):
@@ -127,17 +126,6 @@ def text(content):
 
 def use_row(path):
     assert row_of_text(path.read_bytes()) in (None, ROW)
-
-
-def use_means(path):
-    """Put this file into the cache, which must return its means or compute them anew."""
-    cache = Cache(path.parent / "cache")
-    told = (cache.folder / "recordings" / "abcd", BRIGHTNESS_CODE, [*MEANS], lambda: MEANS)
-    cache.told("brightness", *told)
-    (kept,) = (cache.folder / "brightness").glob("*.npz")
-    kept.write_bytes(path.read_bytes())
-    for name, values in cache.told("brightness", *told).items():
-        np.testing.assert_array_equal(values, MEANS[name])
 
 
 # How each file is written and used; the use returns the number of points, or anything else.
@@ -155,7 +143,6 @@ OTHERS = {
         lambda path: load_truth(path.parent),
     ),
     "row.json": (text(text_of_row(ROW)), use_row),
-    "means.npz": (lambda path: np.savez(path, **MEANS), use_means),
 }
 EVENTS = [name for name in FORMS if name not in BAGS]
 
@@ -207,4 +194,4 @@ def test_a_damaged_file_is_refused_in_one_line_or_loses_nothing_unsaid(name, tmp
 
     law()
     assert sum(is_silent) <= 1 + MAX_SILENT * len(is_silent)  # one may be chance
-    assert use is use_means or not capfd.readouterr().err  # the cache says what it moved aside
+    assert not capfd.readouterr().err

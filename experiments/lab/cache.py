@@ -5,8 +5,6 @@ An entry's key is a digest of all parameters and of all code that makes the entr
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     recordings/<key>.sha256  checksums of its files; without them a recording does not count
-    brightness/<key>.npz  the mean brightness of each frame of a recording
-    denoised/<key>.npz    the events of a recording that denoising keeps
     runs/<ab>/<key>.json  one measured row, and its checksum
     damaged/              entries that do not agree with their checksums
 
@@ -22,15 +20,13 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from filelock import SoftFileLease, Timeout
-from numpy.typing import NDArray
 
 from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from experiments.lab.results import save_text, sha256
@@ -40,17 +36,14 @@ from sim.scene.drone import drone_from_file
 from sim.storage import record
 from ssac.cli.progress import say
 from ssac.errors import SsacError, WriteError
-from ssac.files.whole_file import check_folder, remove_left_over, whole_file
+from ssac.files.whole_file import check_folder, remove_left_over
 
 DEFAULT_FOLDER = Path("cache")
 
 ASIDE = "damaged"  # folder of the damaged entries, where they can be inspected
-RECORDED = ("recordings", "brightness", "denoised")  # folders of recordings and of their arrays
 
-# Code that makes each kind of entry: none is in `experiments`, so edits there keep all entries.
+# Code that makes a recording: none is in `experiments`, so edits there keep all recordings.
 RECORDING_CODE = ("sim.recording", "sim.storage")
-BRIGHTNESS_CODE = ("ssac.methods.correlations", "ssac.files.hdf5")
-DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 
 CLAIM = ".claim"
 
@@ -58,8 +51,6 @@ LAPSES_S = 120.0
 """A lock untouched for this long [s] lapses: a network disk's delay (NFS: 60 s), 1 or 2 touches."""
 
 ASK_AGAIN_S = 1.0  # after which a process that finds a lock taken tries again
-
-Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -86,35 +77,6 @@ class Cache:
                     self._simulate(config, seed, folder)
         return folder
 
-    def told(
-        self,
-        kind: str,
-        recording: Path,
-        code: tuple[str, ...],
-        names: Sequence[str],
-        tell: Callable[[], Arrays],
-        inputs: Any = None,
-    ) -> Arrays:
-        """Return arrays of a recording by name; `tell` computes them if folder `kind` lacks them.
-
-        They are computed once for all methods: reading all frames takes longer than most methods,
-        and denoising, with reading the events, a quarter of the time of all methods together.
-        """
-        by = code_digest(*code), package_versions(SSAC_PACKAGES)
-        key = _digest(recording.name, by, names, inputs)
-        path = self.folder / kind / f"{key}.npz"
-        if path.exists():
-            try:
-                with np.load(path) as kept:  # the archive has a checksum of each array
-                    return {name: kept[name] for name in names}
-            except Exception:  # an error of the archive, the array format or the content
-                self._set_aside(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        told = tell()
-        with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **told)  # type: ignore[arg-type]
-        return told
-
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when the cache holds none, or a damaged one."""
         path = self._run_path(key)
@@ -139,7 +101,7 @@ class Cache:
     def tidy(self) -> None:
         """Remove what killed processes left half-made."""
         runs = self.folder / "runs"
-        for folder in (*(self.folder / name for name in RECORDED), runs, *runs.glob("*")):
+        for folder in (self.folder / "recordings", runs, *runs.glob("*")):
             remove_left_over(folder)
             remove_lapsed(folder)
 

@@ -3,14 +3,14 @@
 import json
 import warnings
 from collections.abc import Callable, Hashable
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
+from experiments.lab.cache import Cache
 from sim.errors import SimError
 from sim.recorded import Recording
 from sim.recording import SimConfig
@@ -18,19 +18,16 @@ from sim.scene.drone import drone_from_file
 from ssac.arrays import Array
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
-from ssac.config import Cleaning, Config
+from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.files.damage import readable
-from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
 from ssac.pipeline.chain import Chain
-from ssac.track.clean import Clean, clean
-from ssac.track.denoise import Clutter
+from ssac.pipeline.opened import cameras_of, opened
 from ssac.track.observation import Observation
 
 RIG_FILE = "rig_extrinsics.yaml"
 _CAMERAS = ("cam1", "cam2")
-_TOLD = ("events", "clutter", "on_line", "n_recorded")
 
 Made = TypeVar("Made")
 
@@ -83,7 +80,7 @@ def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
 
 
 class Pair(NamedTuple):
-    """The events of two cameras, without frames, and their rig."""
+    """The recordings of two cameras, and their rig."""
 
     cam1: Observation
     cam2: Observation
@@ -94,10 +91,12 @@ class Pair(NamedTuple):
         return Chain((self.cam1, self.cam2), self.rig, config)
 
 
-def load_pair(folder: Path) -> Pair:
-    """Load the events of a recording that `sim.storage` wrote."""
-    cam1, cam2 = (Observation(load_events_h5(folder / f"{name}.h5").events) for name in _CAMERAS)
-    return Pair(cam1, cam2, load_rig(folder / RIG_FILE))
+def load_pair(folder: Path, frames: str = "") -> Pair:
+    """Load a recording that `sim.storage` wrote, with MEANS or IMAGES of frames if asked for."""
+    rig = load_rig(folder / RIG_FILE)
+    files = opened([folder / f"{name}.h5" for name in _CAMERAS], cameras_of(rig))
+    cam1, cam2 = (replace(one.read(frames), name="") for one in files)  # messages number them
+    return Pair(cam1, cam2, rig)
 
 
 def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
@@ -131,42 +130,6 @@ class Flown:
             self._made = {name: make()}
         made: Made = self._made[name]
         return made
-
-
-def clean_pair(folder: Path, how: Cleaning, cache: Cache) -> list[Clean]:
-    """Return both cameras denoised; the recording is loaded only if the cache has no such entry."""
-    rig = load_rig(folder / RIG_FILE)
-    cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
-
-    def denoised() -> Arrays:
-        told: Arrays = {}
-        for seen, (name, camera) in zip(load_pair(folder)[:2], cameras.items(), strict=True):
-            one = clean(seen, camera, how, name)
-            assert one.clutter is not None  # since no recording is denoised beforehand
-            told[f"{name}_events"] = one.events
-            told[f"{name}_clutter"] = np.array(astuple(one.clutter), dtype=np.float64)
-            told[f"{name}_on_line"] = np.empty(0, bool) if one.on_line is None else one.on_line
-            told[f"{name}_n_recorded"] = np.array(one.n_recorded)
-        return told
-
-    names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
-    told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, asdict(how))
-    return [_clean(told, folder / f"{name}.h5", camera) for name, camera in cameras.items()]
-
-
-def _clean(told: Arrays, path: Path, camera: Camera) -> Clean:
-    name = path.stem
-    pixels, masked, hz, radius_px, n_neighbours, n_min = told[f"{name}_clutter"].tolist()
-    on_line = told[f"{name}_on_line"]
-    return Clean(
-        told[f"{name}_events"],
-        camera=camera,
-        n_recorded=int(told[f"{name}_n_recorded"]),
-        denoised=True,
-        clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
-        on_line=on_line if len(on_line) else None,
-        recorded=lambda: load_events_h5(path).events,
-    )
 
 
 def observations(recording: Recording) -> tuple[Observation, Observation]:

@@ -1,31 +1,25 @@
 """The measure of a grid's cells: it scores a method on a recording with a clock offset."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.lab.cache import BRIGHTNESS_CODE, Cache
+from experiments.lab.cache import Cache
 from experiments.lab.cell import UNUSABLE, Measure, RunRow
 from experiments.lab.grid import Cell
-from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
+from experiments.lab.recorded import load_pair
 from experiments.lab.score import Truth, kept, scored
-from ssac.arrays import IntArray
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
-from ssac.files.hdf5 import load_frames
-from ssac.files.rigs import load_rig
-from ssac.methods.correlations import frame_means
 from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import IMAGES, MEANS
 from ssac.pipeline.registry import METHODS, Input, Method
-from ssac.track.observation import Observation
+from ssac.track.clean import clean
 
 GUARDED = 10  # one in this many pairs of flight and offset is also run in full, and must agree
 
@@ -60,11 +54,12 @@ class Row(RunRow):
 def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load the parts of a recording that its cells need; simulate it if the cache lacks it."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
+    *seen, rig = load_pair(folder, frames_of(cells))
     (how, *others) = {cell.estimator.cleaning for cell in cells}
-    is_told = how.denoise and not others
-    seen = clean_pair(folder, how, cache) if is_told else load_pair(folder)[:2]
-    framed = with_frames(seen, folder, [METHODS[cell.method] for cell in cells], cache)
-    return Chain(framed, load_rig(folder / RIG_FILE), cells[0].estimator)
+    if how.denoise and not others:  # no retry will denoise by other rules
+        cameras = enumerate((rig.cam1, rig.cam2))
+        seen = [clean(seen[k], camera, how, f"camera {k + 1}") for k, camera in cameras]
+    return Chain(seen, rig, cells[0].estimator)
 
 
 def scored_row(cell: Cell, chain: Chain) -> Row:
@@ -137,33 +132,9 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
     return Row(**kept(Row, scored(estimate, truth, has_pose)))
 
 
-def with_frames(
-    seen: Sequence[Observation], folder: Path, methods: Sequence[Method], cache: Cache
-) -> list[Observation]:
-    """Add both cameras' frames if a method needs them, reduced to their means if these suffice."""
-    looking = [method for method in methods if method.input is Input.FRAMES]
+def frames_of(cells: Sequence[Cell]) -> str:
+    """Return what the cells' methods take of frames: IMAGES, MEANS if these suffice, or nothing."""
+    looking = [one for one in (METHODS[cell.method] for cell in cells) if one.input is Input.FRAMES]
     if not looking:
-        return [*seen]
-
-    names = [f"{name}_{what}" for name in ("cam1", "cam2") for what in ("times_us", "images")]
-
-    def images(take: Callable[..., Any] | None = None) -> dict[str, NDArray[Any]]:
-        none = np.empty(0, np.int64), np.empty(0)
-        paths = [folder / f"{name}.h5" for name in ("cam1", "cam2")]
-        loaded = [array for path in paths for array in load_frames(path, take) or none]
-        return dict(zip(names, loaded, strict=True))
-
-    if all(method.takes_means for method in looking):
-        code, tell = BRIGHTNESS_CODE, partial(images, frame_means)
-        told = cache.told("brightness", folder, code, names, tell)
-    else:
-        told = images()
-    named = zip(seen, ("cam1", "cam2"), strict=True)
-    return [_framed(one, told[f"{name}_times_us"], told[f"{name}_images"]) for one, name in named]
-
-
-def _framed(one: Observation, times_us: IntArray, images: NDArray[np.generic]) -> Observation:
-    if len(images) == 0:
-        return one
-    frames = images.reshape(len(images), *(images.shape[1:] or (1, 1)))
-    return replace(one, frames=frames, frame_times_s=times_us / US_PER_S)
+        return ""
+    return MEANS if all(method.takes_means for method in looking) else IMAGES

@@ -17,7 +17,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
-from experiments.lab.scored import Row, scored_row, with_frames
+from experiments.lab.scored import Row, frames_of, scored_row
 from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
@@ -34,7 +34,6 @@ from ssac.cli.options import number
 from ssac.config import Config
 from ssac.events import US_PER_S
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.registry import METHODS
 
 COMMAND = "ssac physical"
 
@@ -206,9 +205,8 @@ def cells_of(
 def load_physical(cells: Sequence[PhysicalCell], cache: Cache) -> Flown:
     """Load a recording, which is simulated if it is not there yet."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
-    *seen, rig = load_pair(folder)
-    cam1, cam2 = with_frames(seen, folder, [METHODS[cell.method] for cell in cells], cache)
-    return Flown(lambda _: Pair(cam1, cam2, rig), cells[0].seed)
+    pair = load_pair(folder, frames_of(cells))
+    return Flown(lambda _: pair, cells[0].seed)
 
 
 def physical_row(cell: PhysicalCell, flown: Flown) -> Row:

@@ -6,7 +6,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from experiments.lab import cache as module
@@ -29,7 +28,6 @@ from tests.recorded import empty_events
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
 ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.1 + 0.2, "r_error_deg": None}
-MEANS = {"cam1": np.linspace(0, 1, 9), "times1_us": np.arange(9), "cam2": np.empty(0)}
 
 
 def files_in(folder):
@@ -166,27 +164,6 @@ def test_a_damaged_row_is_moved_aside_and_said_once(tmp_path, capsys):
     assert [one.parent.name for one in tmp_path.rglob("*.json")] == [ASIDE]
     cache.save_run("abcd", ROW)
     assert cache.load_run("abcd") == ROW
-
-
-def test_what_is_told_of_a_recording_is_told_once_for_all_it_depends_on_and_anew_if_bad(tmp_path):
-    of = "brightness", tmp_path / "recordings" / "abc", module.BRIGHTNESS_CODE, [*MEANS]
-    told = []
-
-    def check(inputs):
-        made = Cache(tmp_path).told(*of, lambda: told.append(inputs) or MEANS, inputs)
-        for name, one in MEANS.items():
-            np.testing.assert_array_equal(made[name], one, strict=True)
-
-    check(None)
-    (path,) = (tmp_path / "brightness").iterdir()
-    whole = path.read_bytes()
-    for inputs in (None, 5, None, 5):
-        check(inputs)
-    assert told == [None, 5]
-    for damaged in (whole[: len(whole) // 2], flipped(whole, 200), b""):
-        path.write_bytes(damaged)
-        check(None)
-        assert path.read_bytes() == whole
 
 
 @pytest.fixture

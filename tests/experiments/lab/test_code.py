@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
+from experiments.lab.cache import RECORDING_CODE, Cache
 from experiments.lab.code import ROOT, SourceTree, code_of
 from experiments.lab.grid import Cell
 from experiments.lab.results import save_text
@@ -28,16 +28,12 @@ def code_of_study(name):
 
 CODES = {
     "recordings": RECORDING_CODE,
-    "brightness": BRIGHTNESS_CODE,
-    "denoised": DENOISED_CODE,
     "runs": code_of_study("tables"),
     "bounds": code_of_study("efficiency"),
     "refusals": code_of_study("refusal"),
 }
 
 OF_ROWS = {"runs", "bounds", "refusals"}  # keys of rows, which the pipeline computes
-
-OF_EVENTS = {"brightness", "denoised"}  # keys without the code that makes recordings
 
 
 def digests(root):
@@ -58,16 +54,14 @@ def tree(tmp_path_factory):
     ("path", "old", "new", "changed"),
     [
         # Two edits that keys from hand-made lists of modules would miss.
-        ("ssac/track/clean.py", "without_noise(", "(", {"denoised", *OF_ROWS}),
+        ("ssac/track/clean.py", "without_noise(", "(", OF_ROWS),
         ("ssac/methods/tangency.py", 'starts_from="joint"', 'starts_from="ssac"', OF_ROWS),
-        ("ssac/track/observation.py", "import", "import os\nimport", set(CODES) - {"recordings"}),
-        # The motion of an object does not affect which events are noise.
-        ("ssac/track/motion.py", "import numpy", "import os\nimport numpy", OF_ROWS),
+        ("ssac/track/observation.py", "import", "import os\nimport", OF_ROWS),
         ("ssac/pipeline/api.py", "import", "import os\nimport", set()),
-        ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
-        ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
+        ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES)),
+        ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES)),
         ("experiments/lab/score.py", "1e3", "1e6", {"runs"}),
-        ("experiments/lab/recorded.py", "denoised=True", "denoised=False", {"runs"}),
+        ("experiments/lab/recorded.py", 'name=""', 'name="a"', OF_ROWS),
         # Edits of the cache, checksums, the schedule, a drawing or a summary change no number.
         ("experiments/lab/cache.py", "while not", "while 1 and not", set()),
         ("experiments/lab/results.py", "DPI = 220", "DPI = 240", set()),

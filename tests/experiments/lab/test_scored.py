@@ -1,4 +1,4 @@
-"""Rows that share denoised events or estimates are the same as the rows of full runs."""
+"""Rows that share estimates are the same as the rows of full runs."""
 
 from dataclasses import replace
 from unittest.mock import Mock
@@ -6,21 +6,17 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from experiments.lab import recorded as module
 from experiments.lab import scored
-from experiments.lab.cache import Cache
 from experiments.lab.grid import Cell
-from experiments.lab.recorded import Pair, clean_pair, load_pair
-from experiments.lab.scored import scored_row
+from experiments.lab.recorded import Pair, load_pair
+from experiments.lab.scored import load_recorded, scored_row
 from sim.recording import SimConfig
-from ssac.config import Cleaning, Config
+from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import METHODS, OURS, Input, Method
-from ssac.track.clean import clean
-from tests.answers import assert_same
 
 OFFSETS_S = (0.05, 0.5)
 
@@ -112,41 +108,13 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
         scored_row(cell_of(0.5), of_same(pair))
 
 
-HOW = Cleaning(denoise=True, n_neighbours=None)
-
-
-@pytest.mark.parametrize("has_line", [False, True])
-def test_a_pair_comes_back_as_denoising_left_it(recorded, tmp_path, monkeypatch, has_line):
-    raw = cam1, cam2, rig = load_pair(recorded.folder)
-    left = [clean(one, camera, HOW) for one, camera in ((cam1, rig.cam1), (cam2, rig.cam2))]
-    assert 0 < len(left[0].events) < len(cam1.events)
-    if has_line:
-        left[0] = replace(left[0], on_line=np.arange(len(left[0].events)) % 3 == 0)
-    by_events = {id(cam1): left[0], id(cam2): left[1]}
-    calls = []
-    monkeypatch.setattr(module, "clean", lambda seen, *_: by_events[id(seen)])
-    monkeypatch.setattr(module, "load_pair", lambda _: calls.append(1) or raw)
-    for _ in range(2):
-        pair = clean_pair(recorded.folder, HOW, Cache(tmp_path))
-        for one, other in zip(pair, left, strict=True):
-            assert_same(*(replace(each, recorded=None) for each in (one, other)))
-        assert [one.n_recorded for one in pair] == [len(cam1.events), len(cam2.events)]
-    assert len(calls) == 1  # the second pair comes from the cache
-    clean_pair(
-        recorded.folder, replace(HOW, noise=replace(HOW.noise, ball_px=4.0)), Cache(tmp_path)
-    )
-    assert len(calls) == 2  # by other rules it is another one
-
-
-def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, tmp_path, monkeypatch):
+def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, monkeypatch):
     cam1, cam2, rig = load_pair(recorded.folder)
     few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # no event is near another
-    monkeypatch.setattr(module, "load_pair", lambda _: Pair(cam1, few, rig))
-    for _ in range(2):
-        pair = clean_pair(recorded.folder, HOW, Cache(tmp_path))
-        assert len(pair[1].events) == 0 < len(few.events) == pair[1].n_recorded
-        chain = Chain(pair, rig)
-        for method in OURS:
-            if method.input is not Input.FRAMES:
-                found = chain.estimate(method)
-                assert found.status in ("too_few_samples", "no_common_signal"), found
+    monkeypatch.setattr(scored, "load_pair", lambda *_: Pair(cam1, few, rig))
+    chain = load_recorded([replace(cell_of(0.0), method="ssac")], Mock())
+    assert len(chain.clean(1).events) == 0 < len(few.events) == chain.clean(1).n_recorded
+    for method in OURS:
+        if method.input is not Input.FRAMES:
+            found = chain.estimate(method)
+            assert found.status in ("too_few_samples", "no_common_signal"), found
