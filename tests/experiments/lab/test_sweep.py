@@ -14,6 +14,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -67,11 +68,17 @@ def at_work(cache, is_running):
     """Wait until a process works on a recording of a run; return the id of the process."""
     while True:
         with suppress(FileNotFoundError):  # the lock was just released
-            for path in cache.glob("runs/.*.claim"):
-                if found := re.search(r"^pid=(\d+)$", path.read_text(), re.MULTILINE):
-                    return int(found[1])
+            for pid in holders(cache):
+                return pid
         assert is_running()
         time.sleep(0.01)
+
+
+def holders(cache):
+    """Return the ids of the processes that hold locks of recordings, alive or not."""
+    texts = [path.read_text() for path in cache.glob("runs/.*.claim")]
+    found = [re.search(r"^pid=(\d+)$", text, re.MULTILINE) for text in texts]
+    return [int(one[1]) for one in found if one]
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +164,8 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
         time.sleep(0.01)
     run.kill()
     run.communicate(timeout=60)  # its workers hold its stderr: they must end with it
+    while any(Path("/proc", str(pid)).exists() for pid in holders(cache)):
+        time.sleep(0.01)  # until the system takes note of its end, a process seems to hold a lock
     sweep(config, out, cache, "--workers", "1")
     assert out.read_bytes() == whole.read_bytes()
     assert not list(cache.rglob(".*"))
