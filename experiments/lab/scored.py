@@ -56,7 +56,7 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     *seen, rig = load_pair(folder, frames_of(cells))
     (how, *others) = {cell.estimator.cleaning for cell in cells}
-    if how.denoise and not others:  # no retry will denoise by other rules
+    if how.denoise and not others:  # retries then cannot by other rules
         cameras = enumerate((rig.cam1, rig.cam2))
         seen = [clean(seen[k], camera, how, f"camera {k + 1}") for k, camera in cameras]
     return Chain(seen, rig, cells[0].estimator)

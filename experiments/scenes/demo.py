@@ -46,8 +46,8 @@ def demo_command(
             for method in METHODS
         ]
     flown = recorded.flight.truth
+    truth = Truth(flown.t_d_s, flown.R, flown.t)
     for result in results:
-        truth = Truth(flown.t_d_s, flown.R, flown.t)
         typer.echo("\n" + comparison(result.estimate, truth))
     last = results[-1]
     written = [

@@ -250,8 +250,7 @@ def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
 
 def _is_dark(views: TwoViews) -> bool:
     """Whether a pixel makes as much noise as in the dark, where its bandwidth is low."""
-    clutters = [one.clutter for one in views.cleans or () if one.clutter is not None]
-    return any(one.background_hz >= views.rules.tangency.dark_hz for one in clutters)
+    return any(one.background_hz >= views.rules.tangency.dark_hz for one in views.cleans or ())
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:

@@ -111,7 +111,7 @@ def hidden(
     name: str, seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
 ) -> Refusal | None:
     """Refuse a camera's recording of a faint object, if noise hides too much of it."""
-    noise_hz = 0.0 if cleaned.clutter is None else cleaned.clutter.background_hz
+    noise_hz = cleaned.background_hz
     if noise_hz < rules.quiet_hz:
         return None
     reason = f"of {len(seen.events)} events of {name} "
@@ -157,8 +157,7 @@ def other_windows(asked: Config, cleans: Sequence[Clean], answer: Answer) -> Ite
     if not of_events or not _has_usual_windows(asked):
         return
     rules = asked.rules
-    backgrounds_hz = (one.clutter.background_hz for one in of_events if one.clutter is not None)
-    is_noisy = max(backgrounds_hz, default=0.0) >= rules.retry.quiet_hz
+    is_noisy = max(one.background_hz for one in of_events) >= rules.retry.quiet_hz
     is_several = found.status == Status.SEVERAL_OBJECTS or answer.sees_several
     is_thin = found.status in SETTLED_BY["few events"]
     # Where the motion repeats itself, outlines tell offsets apart; mean positions may mislead.

@@ -61,6 +61,11 @@ class Clean(Observation):
             return asked
         return N_MIN if self.clutter is None else self.clutter.n_min
 
+    @property
+    def background_hz(self) -> float:
+        """Noise of an ordinary pixel; 0 where none was looked for."""
+        return 0.0 if self.clutter is None else self.clutter.background_hz
+
     def all_events(self) -> Events | None:
         """Return all events (n,) that were recorded; None where the noise was removed for good."""
         if not self.denoised:
