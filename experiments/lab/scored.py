@@ -19,7 +19,6 @@ from ssac.events import US_PER_S
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import IMAGES, MEANS
 from ssac.pipeline.registry import METHODS, Input, Method
-from ssac.track.clean import clean
 
 GUARDED = 10  # one in this many pairs of flight and offset is also run in full, and must agree
 
@@ -55,10 +54,6 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load the parts of a recording that its cells need; simulate it if the cache lacks it."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     *seen, rig = load_pair(folder, frames_of(cells))
-    (how, *others) = {cell.estimator.cleaning for cell in cells}
-    if how.denoise and not others:  # retries then cannot by other rules
-        cameras = enumerate((rig.cam1, rig.cam2))
-        seen = [clean(seen[k], camera, how, f"camera {k + 1}") for k, camera in cameras]
     return Chain(seen, rig, cells[0].estimator)
 
 

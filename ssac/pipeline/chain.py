@@ -416,8 +416,10 @@ class Chain:
             found = clean(seen, self.rig.cameras[k], how, name)
             if found.clutter is not None:
                 say(f"{name}: {len(found.events)} of {found.n_recorded} events left")
-        # The events of a file can be read again, and need not be kept.
-        return replace(found, recorded=lambda: self.recorded(k).events)
+        if len(self) > 2:
+            return found  # with all events, which silhouettes need too
+        source = self.sources[k]  # a file can be read again; no circle leads through the chain
+        return replace(found, recorded=lambda: source.read().events)
 
     def _framed(self, k: int, method: Method) -> Observation:
         frames = MEANS if method.takes_means else IMAGES

@@ -108,6 +108,16 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
         scored_row(cell_of(0.5), of_same(pair))
 
 
+def test_retries_of_a_row_may_denoise_by_other_rules(recorded):
+    cache = Mock()
+    cache.recording_folder.return_value = recorded.folder
+    chain = load_recorded([replace(cell_of(0.0), method="ssac")], cache)
+    events = load_pair(recorded.folder).cam1.events
+    assert len(chain.clean(0).events) < len(events)
+    np.testing.assert_array_equal(chain.clean(0).all_events(), events)
+    np.testing.assert_array_equal(chain.under(Config(denoise=False)).clean(0).events, events)
+
+
 def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(recorded, monkeypatch):
     cam1, cam2, rig = load_pair(recorded.folder)
     few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # no event is near another
