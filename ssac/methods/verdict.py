@@ -201,6 +201,28 @@ def scaled(estimate: Estimate, factor: float) -> Estimate:
     )
 
 
+def as_certain_as(other: Estimate, estimate: Estimate) -> Estimate:
+    """Return an estimate with the deviations of another one, of the same pairs and kind of clock.
+
+    Both must have a pose and its covariance.
+    """
+    t, other_t, covariance = estimate.t, other.t, other.covariance
+    assert t is not None
+    assert other_t is not None
+    assert covariance is not None
+    to_basis = np.eye(6)  # t's two angles are about axes that depend on t
+    to_basis[4:, 4:] = tangent_basis(t) @ tangent_basis(other_t).T
+    return replace(
+        estimate,
+        t_d_std_s=other.t_d_std_s,
+        skew_std_ppm=other.skew_std_ppm,
+        strays_std_s=other.strays_std_s,
+        readouts_std_s=other.readouts_std_s,
+        covariance=to_basis @ covariance @ to_basis.T,
+        clock_covariance=other.clock_covariance,
+    )
+
+
 def widened(estimate: Estimate, hidden: float) -> Estimate:
     """Widen the offset's deviation by an independent error of this variance [s^2]."""
     if hidden == 0.0 or not np.isfinite(estimate.t_d_std_s):

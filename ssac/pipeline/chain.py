@@ -26,7 +26,7 @@ from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.events import rounding_variance_s2
 from ssac.methods.method import Input, Method
-from ssac.methods.verdict import jumped, quantum_s, widened
+from ssac.methods.verdict import as_certain_as, jumped, quantum_s, widened
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
 from ssac.pipeline.opened import (
@@ -330,7 +330,12 @@ class Chain:
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= most:
                 unlike = "" if found.status == Status.OK else "as stated, nothing fits"
-                pair, found, misfit, tried = other, by_other, found.misfit or unlike, rig
+                misfit, tried = found.misfit or unlike, rig
+                is_alike = bool(by_other.without_body) == bool(found.without_body)
+                if not misfit and by_other.status == Status.OK and is_alike:
+                    found = as_certain_as(by_other, found)  # in slight doubt nothing is moved
+                else:
+                    pair, found = other, by_other
                 break
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
         of_start = retries.TINY if pair.method.keeps(views) else ""

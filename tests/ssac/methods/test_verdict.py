@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 from ssac import Chain, Config, Estimate, Status, two_views
 from ssac.estimate import SETTLED_BY
 from ssac.events import rounding_variance_s2
+from ssac.geometry.pose import tangent_basis
 from ssac.methods.hypotheses import Choice, Solution, choose
 from ssac.methods.tangency import tangency_from
-from ssac.methods.verdict import certain, doubt, widened
+from ssac.methods.verdict import as_certain_as, certain, doubt, widened
 from ssac.rules import RetryRules, Rules
 from ssac.track.observation import tracked
 from tests.ssac.box import box_events
@@ -152,6 +153,21 @@ def test_rounded_times_widen_the_offsets_deviation_by_that_of_an_even_distributi
     assert found.t_d_std_s == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert found.covariance[0, 0] == pytest.approx(variance, rel=1e-12)
     np.testing.assert_array_equal(found.covariance[1:, 1:], covariance[1:, 1:])
+
+
+def test_deviations_of_a_direction_stay_those_about_the_same_axes_in_space():
+    near = np.array([[0.5, 0.50001, 0.7], [0.50001, 0.5, 0.7]])  # their bases lie across
+    one, other = near / np.linalg.norm(near, axis=1, keepdims=True)
+    covariance = np.diag([1e-6, 1e-8, 1e-8, 1e-8, 1e-8, 9e-8])
+    uncertain = Estimate("joint", t=other, covariance=covariance)
+    found = as_certain_as(uncertain, Estimate("joint", t=one, covariance=np.eye(6)))
+    np.testing.assert_array_equal(found.covariance[:4, :4], covariance[:4, :4])
+    assert found.covariance[4, 4] > 1.5 * covariance[4, 4]
+    in_space, expected = (
+        tangent_basis(told.t).T @ told.covariance[4:, 4:] @ tangent_basis(told.t)
+        for told in (found, uncertain)
+    )
+    np.testing.assert_allclose(in_space, expected, atol=1e-11)  # 1e-5 of the variances, as t
 
 
 # --- Who may overrule whom ---

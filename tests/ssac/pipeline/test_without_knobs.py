@@ -240,6 +240,11 @@ def test_the_more_intrinsics_are_in_doubt_the_wider_are_the_deviations(events, r
     assert "what is seen contradicts the rig: " in much.note
     stds_deg = [one.r_std_deg for one in (right, slightly.estimate, much.estimate)]
     assert np.all(np.diff(np.log(stds_deg)) > np.log(1.5))
+    certain = replace(PLAIN.rules, verdict=replace(PLAIN.rules.verdict, in_slight_doubt=2.0))
+    as_stated = ssac.sync(*events, [longer(0.008), UNSTATED], rules=certain).estimate
+    assert slightly.t_d_s == as_stated.t_d_s  # a slight doubt widens, and moves nothing
+    np.testing.assert_array_equal(slightly.estimate.R, as_stated.R)
+    assert slightly.estimate.r_std_deg > 1.5 * as_stated.r_std_deg
 
 
 @pytest.mark.parametrize(
