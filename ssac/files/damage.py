@@ -40,7 +40,7 @@ def check_is_file(path: Path) -> None:
 
 
 @contextmanager
-def readable(path: Path, kind: str) -> Iterator[None]:
+def readable(path: Path, kind: str, remedy: str = "copy or record it again") -> Iterator[None]:
     """Turn whatever a library raises in the block, even a panic, into one SsacError.
 
     `kind` says what the file should be, as in "a readable HDF5 file".
@@ -50,7 +50,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
     except _OURS:
         raise
     except BaseException as error:
-        raise SsacError(f"{path}: not {kind} ({brief(error)}): copy or record it again") from error
+        raise SsacError(f"{path}: not {kind} ({brief(error)}): {remedy}") from error
 
 
 def brief(error: BaseException) -> str:

@@ -34,6 +34,7 @@ FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
 """Deviations of phones' and camcorders' intrinsics, which focus and stabilisation change: between
 those of a good calibration, which camera 1 of data set 1 contradicts, and of a careless one."""
 
+_REMEDY = "get the file again"
 _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 
 
@@ -59,7 +60,7 @@ def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
     with readable(listing, "a list of cameras"):
         rows = _LINE.findall(listing.read_text(encoding="utf-8"))
     if not rows:
-        raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
+        raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: {_REMEDY}")
     for _, model in rows:
         if model == ".." or Path(model).name != model:  # it names a file of the calibrations
             raise SsacError(f"{listing}: expected a camera's name, got {model!r}: correct it")
@@ -91,7 +92,7 @@ def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
     inside = np.all((points >= -0.5) & (points <= size - 0.5), axis=1)
     kept = seen & inside
     if not kept.any():
-        raise SsacError(f"{path}: the object is seen in no frame: get the file again")
+        raise SsacError(f"{path}: the object is seen in no frame: {_REMEDY}")
     track = PointTrack(frames[kept] / fps, points[kept])
     check_track(track, camera.width, camera.height, str(path))
     return ImportedCamera(name, model, fps, camera, track, int(np.count_nonzero(seen & ~inside)))
@@ -100,7 +101,8 @@ def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
 def _calibration(folder: Path, model: str, number: int) -> tuple[Camera, float]:
     name = OF_DATA_SET.get(model, (model, model))[number >= 3]
     path = folder / f"{name}.json"
-    try:
+    form = "a calibration with K-matrix, distCoeff, fps and resolution"
+    with readable(path, form, _REMEDY):
         found = json.loads(path.read_text(encoding="utf-8"))
         K = np.array(found["K-matrix"], dtype=np.float64)
         coeffs = [float(value) for value in found["distCoeff"]]
@@ -110,11 +112,6 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[Camera, float]:
             raise ValueError(f"{fps:g} frames a second")
         if K.shape != (3, 3):
             raise ValueError(f"a K-matrix of shape {K.shape}")
-    except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise SsacError(
-            f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
-            f"({type(error).__name__}: {error}): get the file again"
-        ) from error
     camera = Camera(K, width, height, "radtan", tuple(coeffs))
     check_camera(camera, str(path))
     return with_deviations(camera, FOCAL_STD, CENTRE_STD_PX), fps
@@ -122,7 +119,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[Camera, float]:
 
 def _detections(path: Path) -> tuple[Array, Array]:
     """Read frame numbers (n,) and points (n, 2) [px]; a header line is skipped."""
-    try:
+    with readable(path, "a list of lines `frame x y`", _REMEDY):
         lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split() for line in lines if line.strip()]
         if rows and not is_number(rows[0][0]):
@@ -130,8 +127,4 @@ def _detections(path: Path) -> tuple[Array, Array]:
         table = np.array(rows, dtype=np.float64).reshape(-1, 3)
         if not np.isfinite(table[:, 0]).all():
             raise ValueError("a frame's number is not finite")
-    except (OSError, ValueError) as error:
-        raise SsacError(
-            f"{path}: expected lines `frame x y` ({error}): get the file again"
-        ) from error
     return table[:, 0], table[:, 1:]

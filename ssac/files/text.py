@@ -13,7 +13,7 @@ import numpy as np
 from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
-from ssac.files.damage import LONGEST_S, Reading, brief, check_text, checked_file, readable, side_px
+from ssac.files.damage import LONGEST_S, Reading, check_text, checked_file, readable, side_px
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
@@ -82,37 +82,30 @@ def _read_table(
     import pandas as pd  # here, as it takes long: other formats do without it
 
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
-    try:
-        with (
-            np.errstate(invalid="ignore"),  # the error says the same
-            warnings.catch_warnings(),
-            pd.read_csv(
-                path,
-                sep=separator,
-                names=columns,  # all are read: with a selection, fields beyond them would be lost
-                dtype=dict.fromkeys("xyp", np.int64)
-                | {"t": np.float64 if in_seconds else np.int64},
-                skiprows=int(has_header),
-                chunksize=LINES_PER_BLOCK,
-                quoting=csv.QUOTE_NONE,  # else a stray quotation mark swallows lines
-                index_col=False,
-            ) as reader,
-        ):
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # a longer first line
-            warnings.simplefilter("ignore", pd.errors.DtypeWarning)  # of further columns
-            for table in reader:
-                t, x, y, p = (table[field].to_numpy() for field in "txyp")
-                if in_seconds:
-                    t = _microseconds_from_seconds(t, path)
-                blocks.append(events_from_arrays(t, x, y, p, name=str(path)))
-    except SsacError:
-        raise
-    except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
-        raise SsacError(
-            f"{path}: every line must be {', '.join(columns)[:60]} in whole numbers"
-            f", t in {'seconds' if in_seconds else 'microseconds'} ({brief(error)}): complete or "
-            "remove the line"
-        ) from error
+    numbers = "in whole numbers, t in " + ("seconds" if in_seconds else "microseconds")
+    form = f"a table of events: every line must be {', '.join(columns)[:60]} {numbers}"
+    with (
+        readable(path, form, "complete or remove the line"),
+        np.errstate(invalid="ignore"),  # the error says the same
+        warnings.catch_warnings(),
+        pd.read_csv(
+            path,
+            sep=separator,
+            names=columns,  # all are read: with a selection, fields beyond them would be lost
+            dtype=dict.fromkeys("xyp", np.int64) | {"t": np.float64 if in_seconds else np.int64},
+            skiprows=int(has_header),
+            chunksize=LINES_PER_BLOCK,
+            quoting=csv.QUOTE_NONE,  # else a stray quotation mark swallows lines
+            index_col=False,
+        ) as reader,
+    ):
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # a longer first line
+        warnings.simplefilter("ignore", pd.errors.DtypeWarning)  # of further columns
+        for table in reader:
+            t, x, y, p = (table[field].to_numpy() for field in "txyp")
+            if in_seconds:
+                t = _microseconds_from_seconds(t, path)
+            blocks.append(events_from_arrays(t, x, y, p, name=str(path)))
     return np.concatenate(blocks)
 
 

@@ -123,11 +123,11 @@ PHONE = "../calibration/phone/phone.json"
             for name in ("../../secret", "/secret", "..", ".", "phone/.")
         ),
         ("detections/cam0.txt", "inf 5 5\n", "a frame's number is not finite"),
-        ("detections/cam0.txt", "1 2 three\n", "expected lines `frame x y`"),
+        ("detections/cam0.txt", "1 2 three\n", "not a list of lines `frame x y`"),
         ("detections/cam0.txt", "1 0 0\n", "the object is seen in no frame"),
         ("detections/cam0.txt", "1 5 5\n1 9 9\n", "rows must be in time order"),
         ("detections/cam0.txt", "2 5 5\n1 9 9\n", "rows must be in time order"),
-        (PHONE, "{}", "expected a calibration"),
+        (PHONE, "{}", "not a calibration"),
         (PHONE, calibrated(fps=0), "0 frames a second"),
         (PHONE, calibrated(resolution=[346]), "not enough values"),
         (PHONE, calibrated(resolution=[1, 1]), "no camera's of 1 x 1 px"),
