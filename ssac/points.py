@@ -40,15 +40,9 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: point {np.argmin(finite)} has a value that is no finite number: leave out"
             " the rows in which the object was not seen"
         )
-    backwards = np.diff(times_s) <= 0.0
-    if backwards.any():
-        k = int(np.argmax(backwards)) + 1
-        if wrapped(times_s[k - 1], times_s[k]):
-            raise SsacError(f"{name}: {wrap_message(f'point {k}')}")
-        raise SsacError(
-            f"{name}: rows must be in time order, but point {k} is at {times_s[k]:g} s, after one "
-            f"at {times_s[k - 1]:g} s: sort the rows, one object and one point a time"
-        )
+    disorder = disorder_of(times_s)
+    if disorder:
+        raise SsacError(f"{name}: {disorder}")
     longest_s = 100.0  # between points: longer than in any track of an object
     if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > longest_s:
         raise SsacError(
@@ -68,3 +62,17 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: sigma_px must be positive, got {sigmas.min():g} at point "
             f"{np.argmin(sigmas > 0.0)}: correct it, or leave the column out"
         )
+
+
+def disorder_of(times_s: Array) -> str:
+    """Say which of the times (n,) [s] is not after the one before it; empty where all are."""
+    backwards = np.diff(times_s) <= 0.0
+    if not backwards.any():
+        return ""
+    k = int(np.argmax(backwards)) + 1
+    if wrapped(times_s[k - 1], times_s[k]):
+        return wrap_message(f"point {k}")
+    return (
+        f"rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after one at"
+        f" {times_s[k - 1]:.10g} s: sort the rows, one object and one point a time"
+    )

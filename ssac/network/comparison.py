@@ -104,14 +104,8 @@ def compare(
     body (forward, left, up), and needs the truth's attitude. SsacError if that is missing, or if
     the paths have too few points, stand still, share too little time or do not move enough.
     """
-    for name, path in (("estimate", estimate), ("truth", truth)):
-        if len(path) < 3:
-            raise SsacError(
-                f"the {name} has {len(path)} points, and at least 3 tell how it is "
-                "turned: give more of it"
-            )
-        if not np.ptp(path.positions_m, axis=0).any():
-            raise SsacError(f"the {name} stands still: give a path that moves")
+    check_moves("the estimate", estimate, 3)
+    check_moves("the truth", truth, 3)
     if lever_arm_m is not None:
         truth = without_lever_arm(truth, lever_arm_m)
     in_time, start, points = None, None, estimate.positions_m
@@ -128,13 +122,22 @@ def compare(
     )
 
 
+def check_moves(name: str, path: Path, least: int) -> None:
+    """Raise SsacError unless a path has so many points, and moves."""
+    if len(path) < least:
+        raise SsacError(
+            f"{name} has {len(path)} points, and at least {least} tell how it is turned: give more"
+            " of it"
+        )
+    if not np.ptp(path.positions_m, axis=0).any():
+        raise SsacError(f"{name} stands still: give a path that moves")
+
+
 def at_equal_times(estimate: Path, truth: Path, clock: Clock, with_scale: bool) -> InTime:
     """Return the difference at the truth's samples, given the truth's clock."""
     path, times_s = interpolated(estimate), clock.cam1_from_cam2(truth.times_s)
     seen = path.covers(times_s)
     between = (times_s >= estimate.times_s[0]) & (times_s <= estimate.times_s[-1])
-    if not seen.any():
-        raise SsacError("the estimate and the truth share no time: check the shift")
     target, source = truth.positions_m[seen], path.at(times_s[seen])
     frame = similarity(source, target, with_scale)
     laid = frame.apply(source)

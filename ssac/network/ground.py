@@ -1,6 +1,5 @@
 """The frame and the scale of a network, as given by positions of cameras or an RTK path."""
 
-import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,13 +9,13 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.errors import SsacError
-from ssac.files.damage import check_is_file, readable
+from ssac.files.damage import check_is_file
 from ssac.fit.covariance import PRIOR, correlated_covariance, student_factor
 from ssac.geometry.epipolar import cross_matrix
 from ssac.network.align import RULES, Similarity, by_similarity, similarity
-from ssac.network.comparison import compare, without_lever_arm
+from ssac.network.comparison import check_moves, compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
-from ssac.network.tum import read_path
+from ssac.network.tum import read_path, rows_of
 from ssac.rules import FitRules, GroundRules
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
@@ -140,16 +139,10 @@ def _check_places(file: Path, places: Array, rules: GroundRules) -> None:
 def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:
     """Raise SsacError unless a file has a path that moves, with attitudes for a lever arm."""
     rtk = read_path(file)
-    if lever_arm_m is not None:
-        with _as_truth(file):
+    with _as_truth(file):
+        if lever_arm_m is not None:
             without_lever_arm(rtk, lever_arm_m)
-    if len(rtk) < RULES.least_samples:
-        raise SsacError(
-            f"{file}: at least {RULES.least_samples} points tell its clock and frame, got "
-            f"{len(rtk)}: give more of the path"
-        )
-    if not np.ptp(rtk.positions_m, axis=0).any():
-        raise SsacError(f"{file}: the path stands still: give one that moves")
+        check_moves("the truth", rtk, RULES.least_samples)
 
 
 @contextmanager
@@ -192,11 +185,7 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
 def load_positions(file: Path) -> dict[int, Array]:
     """Read positions of cameras: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
     check_is_file(file)
-    with (
-        readable(file, "a text file of positions"),
-        file.open(encoding="utf-8-sig", newline="") as lines,
-    ):
-        rows = [[word.strip() for word in row] for row in csv.reader(lines) if row]
+    rows = rows_of(file, "a text file of positions")
     if not rows or tuple(rows[0]) != POSITION_COLUMNS:
         raise SsacError(f"{file}: the first line must be {','.join(POSITION_COLUMNS)}: add it")
     found = {}

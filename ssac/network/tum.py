@@ -14,8 +14,9 @@ import numpy as np
 
 from ssac.arrays import Array
 from ssac.errors import SsacError
-from ssac.files.damage import check_is_file, is_number
+from ssac.files.damage import check_is_file, is_number, readable
 from ssac.files.whole_file import whole_file
+from ssac.points import disorder_of
 
 PATH_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 DEVIATION_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
@@ -69,7 +70,7 @@ def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
     elif times_s is None and needs_times:
         said = "a path needs times: put t_s (seconds) before x y z, as its first column"
     elif times_s is not None:
-        said = _fault_of_times(times_s)
+        said = disorder_of(times_s) or _fault_of_steps(np.diff(times_s))
     positions = np.column_stack([columns[name] for name in PATH_COLUMNS[1:]])
     said = said or _fault_of_metres(positions)
     quaternions = _stacked(columns, ATTITUDE_COLUMNS)
@@ -114,15 +115,7 @@ def write_path(file: pathlib.Path | str, path: Path, in_metres: bool = True) -> 
 
 def _columns(file: pathlib.Path) -> dict[str, Array]:
     """Read the known columns (n,), n > 0, of a file by their standard names."""
-    try:
-        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
-    except UnicodeDecodeError as error:
-        raise SsacError(f"{file}: not a text file: give a path as TUM or csv") from error
-    rows = [
-        [cell.strip() for cell in line.split(",")] if "," in line else line.split()
-        for line in lines
-        if line and not line.startswith("#")
-    ]
+    rows = rows_of(file, "a text file of a path")
     has_header = bool(rows) and not all(map(is_number, rows[0]))
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
@@ -137,6 +130,17 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
             )
         numbers[k] = [float(row[column]) for column in kept.values()]
     return dict(zip(kept, numbers.T, strict=True))
+
+
+def rows_of(file: pathlib.Path, kind: str) -> list[list[str]]:
+    """Return the cells of all lines but comments, which commas or else blanks part."""
+    with readable(file, kind, "give one"):
+        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+    return [
+        [cell.strip() for cell in line.split(",")] if "," in line else line.split()
+        for line in lines
+        if line and not line.startswith("#")
+    ]
 
 
 def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
@@ -171,14 +175,7 @@ def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
     return names
 
 
-def _fault_of_times(times_s: Array) -> str:
-    steps_s = np.diff(times_s)
-    if (steps_s <= 0.0).any():
-        k = int(np.argmax(steps_s <= 0.0)) + 1
-        return (
-            f"rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after "
-            f"one at {times_s[k - 1]:.10g} s: sort the rows, one point a time"
-        )
+def _fault_of_steps(steps_s: Array) -> str:
     if len(steps_s) and np.median(steps_s) > 1000.0:
         apart = f"points are {np.median(steps_s):g} s apart"
         return f"{apart}, as if times were of microseconds or the like: give seconds"
