@@ -67,9 +67,10 @@ def fit_of(network: Network, k: int) -> Fit:
     points = products(first, weights, network.path.coefficients)
     velocities = products(first, slopes, network.path.coefficients)
     found = projected(state, seen, points, velocities)
-    residuals = seen.points_px - found.points_px
-    linear = Linear(first, weights, found.by_point, found.by_camera, found.columns, residuals)
-    return Fit(linear, found.in_front, inside & found.in_front)
+    points_px, in_front, by_point, by_camera, columns = found
+    off_px = seen.points_px - points_px
+    linear = Linear(first, weights, by_point, by_camera, columns, off_px)
+    return Fit(linear, in_front, inside & in_front)
 
 
 def known(network: Network) -> tuple[Array, Array]:

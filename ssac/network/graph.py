@@ -47,11 +47,6 @@ class Link:
     """(7, 7) lower Cholesky factor of the covariance of offset [s], turn, direction [rad] and skew,
     for two event cameras whose tangents tell more than their sightings."""
 
-    def reversed(self) -> "Link":
-        """Return the link of the pair (b, a), without the covariance factor."""
-        R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
-        return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
-
     def offset_off_s(self, a: CameraState, b: CameraState) -> Array:
         """Return the link's offset less that of two states (1,) [s]."""
         own_s = np.array([self.clock.t_ref_s])

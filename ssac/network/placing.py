@@ -6,12 +6,13 @@ and the seed that places the most cameras wins. No camera's error can thus spoil
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import cv2
 import numpy as np
 
 from ssac.arrays import Array, Mask
+from ssac.clock import Clock
 from ssac.geometry.pose import rays_of
 from ssac.network.graph import Link, Pair
 from ssac.network.normal import Linear, Normal, Spline, basis, jerks, solve
@@ -120,11 +121,11 @@ class Group:
     members: list[int]  # numbers of the group's cameras
     rules: NetworkRules
 
-    def link(self, a: int, b: int) -> Link | None:
-        """Return the link of a pair in either order; None if there is none."""
+    def clock(self, a: int, b: int) -> Clock | None:
+        """Return camera b's clock relative to a's, which may be later; None without a link."""
         if (a, b) in self.links:
-            return self.links[a, b]
-        return self.links[b, a].reversed() if (b, a) in self.links else None
+            return self.links[a, b].clock
+        return self.links[b, a].clock.inverse() if (b, a) in self.links else None
 
 
 def place_all(group: Group, trust: Mapping[Pair, int]) -> Placed | None:
@@ -156,11 +157,14 @@ def grown(placed: Placed, group: Group) -> Placed:
         times_s, points = _path_of(placed, group)
         known = np.isfinite(points[:, 0])
         path, best, found = (times_s[known], points[known]), 0, placed.states
-        for k in group.members:
-            if k not in placed.states:
-                inliers, state = _best_fit(k, placed, group, path)
-                if state is not None and inliers > best:
-                    best, found = inliers, placed.states | {k: state}
+        others = [k for k in group.members if k not in placed.states]
+        for k, (one, state) in product(others, placed.states.items()):
+            clock, seen = group.clock(one, k), group.cameras[k]
+            if clock is not None:
+                start = _with_clock(CameraState(middle_s=seen.middle_s), clock, state)
+                inliers, fitted = _resected(start, seen, *path, group.rules)
+                if fitted is not None and inliers > best:
+                    best, found = inliers, placed.states | {k: fitted}
         if not best:
             return placed
         placed = Placed(found, placed.inliers + best)
@@ -184,7 +188,7 @@ def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
     (a, b), cameras, rules = pair, group.cameras, group.rules
     first = CameraState(middle_s=cameras[a].middle_s)
     R, t = np.asarray(link.R), np.asarray(link.t)  # which seeds have
-    second = _with_clock(CameraState(middle_s=cameras[b].middle_s, R=R, t=t), link, first)
+    second = _with_clock(CameraState(middle_s=cameras[b].middle_s, R=R, t=t), link.clock, first)
     placed = Placed({a: first, b: second}, 0)
     points = _path_of(placed, group)[1]
     inliers = int(np.count_nonzero(np.isfinite(points[:, 0])))
@@ -192,11 +196,11 @@ def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
     return Placed(placed.states, 2 * inliers) if is_enough else None
 
 
-def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraState:
-    """Set a camera's clock by its link from another camera, which is placed."""
+def _with_clock(state: CameraState, clock: Clock, other: CameraState) -> CameraState:
+    """Set a camera's clock, given relative to that of another camera, which is placed."""
     away_s = 1.0 + abs(state.middle_s) * 1e-3
     own_s = state.middle_s + away_s * np.array([-1.0, 1.0])
-    passed_s = other.network_from_own(link.clock.cam1_from_cam2(own_s))
+    passed_s = other.network_from_own(clock.cam1_from_cam2(own_s))
     rate = 1.0 - float(passed_s[1] - passed_s[0]) / (2.0 * away_s)
     return replace(state, delay_s=state.middle_s - float(np.mean(passed_s)), rate=rate)
 
@@ -212,21 +216,6 @@ def _path_of(placed: Placed, group: Group) -> tuple[Array, Array]:
     times_s = times_s[np.count_nonzero(seen_by, axis=0) >= 2]
     times_s = times_s[:: max(1, len(times_s) // group.rules.samples)]
     return times_s, triangulate(states, cameras, times_s, group.rules)
-
-
-def _best_fit(
-    k: int, placed: Placed, group: Group, path: tuple[Array, Array]
-) -> tuple[int, CameraState | None]:
-    """Resect a camera on a path with the clock of each link to a placed camera; keep the best."""
-    best, found, seen = 0, None, group.cameras[k]
-    for other, state in placed.states.items():
-        link = group.link(other, k)
-        if link is not None:
-            start = _with_clock(CameraState(middle_s=seen.middle_s), link, state)
-            inliers, fitted = _resected(start, seen, *path, group.rules)
-            if inliers > best:
-                best, found = inliers, fitted
-    return best, found
 
 
 def _resected(

@@ -137,7 +137,7 @@ def _calibration(camera: Camera, state: CameraState, deviations: Array) -> Camer
 
 
 def _holds_at(network: Network, times_s: Array) -> Mask:
-    """Whether the path holds at times (n,): two cameras see the object on rays that are apart."""
+    """Whether the path holds at times (n,) of it: two cameras' rays to the object are apart."""
     rules, near = network.rules, list[Mask]()
     for state, seen, enabled in zip(network.states, network.cameras, network.enabled, strict=True):
         reach_s = max(rules.reach_s, rules.reach_intervals * seen.interval_s)
@@ -145,9 +145,7 @@ def _holds_at(network: Network, times_s: Array) -> Mask:
     points = network.path.at(times_s)
     rays = np.stack([points - state.centre for state in network.states])
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    holds = are_apart(rays, np.stack(near), rules.least_angle_deg)
-    knots_s = network.path.knots_s
-    return np.asarray(holds & (times_s >= knots_s[0]) & (times_s <= knots_s[-1]))
+    return are_apart(rays, np.stack(near), rules.least_angle_deg)
 
 
 def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Path:

@@ -169,19 +169,15 @@ def network_times(state: CameraState, seen: Sightings) -> Array:
     return state.network_from_own(seen.times_s) + state.readout_s * seen.rows
 
 
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """Projections of points of the path into a camera, and their derivatives."""
+def projected(
+    state: CameraState, seen: Sightings, points: Array, velocities: Array
+) -> tuple[Array, Mask, Array, Array, IntArray]:
+    """Project the path's points (n, 3), one for each sighting, with velocities (n, 3) there.
 
-    points_px: Array  # (n, 2)
-    in_front: Mask  # (n,)
-    by_point: Array  # (n, 2, 3)
-    by_camera: Array  # (n, 2, p) by the parameters at `columns`
-    columns: IntArray  # (n, p) places among the camera's parameters
-
-
-def projected(state: CameraState, seen: Sightings, points: Array, velocities: Array) -> Projected:
-    """Project the path's points (n, 3), one for each sighting, with velocities (n, 3) there."""
+    Returns the projections (n, 2) [px], which of them are in front of the camera (n,), their
+    derivatives by the points (n, 2, 3) and by the camera's parameters (n, 2, p), and the places
+    (n, p) of the latter.
+    """
     K, n, k = seen.camera.K, len(points), len(state.knots_s)
     turned = points @ state.R.T
     local = turned + state.t
@@ -217,7 +213,7 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
         columns[:, STRAYS], columns[:, STRAYS + 1] = STRAYS + piece, STRAYS + piece + 1
     behind_px = state.behind_px * by_camera[:, :, BEHIND]
     points_px = lengths_px * x + K[:2, 2] + state.centre_px + behind_px
-    return Projected(points_px, in_front, by_point, by_camera, columns.astype(np.int64))
+    return points_px, in_front, by_point, by_camera, columns.astype(np.int64)
 
 
 @dataclass(frozen=True)

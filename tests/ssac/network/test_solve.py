@@ -65,7 +65,8 @@ def test_the_order_of_the_cameras_does_not_matter() -> None:
     order, links = [2, 0, 3, 1], {}
     for (a, b), link in flight.links().items():
         i, j = order.index(a), order.index(b)
-        links[min(i, j), max(i, j)] = link if i < j else link.reversed()
+        back = replace(link, clock=link.clock.inverse(), R=link.R.T, t=-link.R.T @ link.t)
+        links[min(i, j), max(i, j)] = link if i < j else back
     other = replace(flight, seen=[flight.seen[k] for k in order]).solved(links)
     by_name = {camera.name: camera for camera in other.cameras}
     for camera in answer.cameras[1:]:
