@@ -135,12 +135,6 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
     np.testing.assert_allclose(found.distances_px, weights * expected)
 
 
-def test_steps_that_run_out_are_said():
-    found = solve(rate_problem(), TRUTH, max_steps=1)
-    assert not found.converged
-    assert solve(rate_problem(), TRUTH, max_steps=5, last_step=0.0).converged  # all steps are taken
-
-
 # --- Uncertain intrinsics ---
 
 LENSES = {

@@ -10,7 +10,7 @@ from ssac import PointTrack, SsacError
 from ssac.camera import Camera, distort_points, same_camera, undistort_points
 from ssac.config import Cleaning, Config
 from ssac.events import EVENT_DTYPE, events_from_arrays
-from ssac.rules import PointRules, Rules
+from ssac.rules import PointRules
 from ssac.track.clean import clean
 from ssac.track.motion import motion_of, object_motion, point_motion
 from ssac.track.observation import tracked
@@ -33,13 +33,6 @@ def raw():
 @pytest.fixture
 def cleaned(raw):
     return clean(raw, CAMERA, HOW)
-
-
-def test_rules_of_points_are_obeyed():
-    points = clean(tracked(TRACK), CAMERA, HOW)
-    configs = Config(), Config(rules=Rules(points=PointRules(window_intervals=4.0)))
-    found_s = [motion_of(points, one.windows).half_window_s for one in configs]
-    assert found_s == pytest.approx([0.26, 0.4])
 
 
 def test_what_is_clean_is_not_cleaned_again(cleaned):
