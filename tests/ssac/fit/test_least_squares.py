@@ -198,16 +198,6 @@ def test_columns_move_points_as_rays_undistorted_with_other_intrinsics(lens):
         assert not second.dp1_px.any()
 
 
-def test_exact_intrinsics_add_nothing():
-    problem = problem_of(rig_of(0.0, 0.0), noise_px=0.3)
-    allowance = intrinsics.Allowance(problem.rig)
-    assert allowance.is_made
-    assert allowance.added(problem) is problem
-    parameters = solve(problem, TRUTH).parameters
-    assert intrinsics.evidence(linearise(problem, parameters), UNHIDDEN) == 0.0
-    np.testing.assert_array_equal(intrinsics.intrinsics_of(problem, parameters), [K, K])
-
-
 @pytest.mark.parametrize("pose_is_known", [False, True])
 def test_larger_deviations_state_larger_ones(pose_is_known):
     deviations = []

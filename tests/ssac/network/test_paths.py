@@ -416,21 +416,6 @@ def test_deviations_hold_in_a_known_frame(solved, tmp_path):
     assert np.all((rms > 0.75) & (rms < 1.2))
 
 
-@pytest.mark.parametrize("k", [1, 3])
-def test_where_a_camera_stands_at_the_origin_t_is_as_sure_as_its_centre(solved, k):
-    flight, answer = solved
-    R, scale, camera = TO_GROUND.R, flight.distance_m, answer.cameras[k]
-    exact = np.zeros((7, 7))
-    to_centre = Similarity(scale, R, -scale * R @ camera.centre)
-    found = in_frame(answer, Ground(to_centre, "", np.zeros(3), exact)).cameras[k]
-    assert found.t == pytest.approx(np.zeros(3), abs=1e-9)  # rounding of 20 m
-    turned = scale**2 * R @ camera.centre_covariance @ R.T
-    np.testing.assert_allclose(found.centre_covariance, turned, rtol=1e-6)  # rounding of squares
-    seen_m = np.sqrt(np.diag(found.R @ turned @ found.R.T))
-    np.testing.assert_allclose(found.t_std, seen_m, rtol=1e-6)
-    assert found.r_std_deg == pytest.approx(camera.r_std_deg)
-
-
 def scores(flight, answer) -> np.ndarray:
     """Errors of each camera's centre, t and R, and of the path, in their deviations."""
     path, found = answer.paths[0].path, list[float]()

@@ -159,7 +159,7 @@ WRONG = [
     ((ONE[0], OTHER, RIG), "^camera 1: expected a file.* got void"),
     (
         ([(1, 2, 3, 4)], OTHER, RIG),
-        r"^sync: a list of cameras stands for all .* call sync\(\[a, b, c\], rig, method=",
+        r"^sync: a list of cameras .* call sync\(\[a, b, c\], rig, me",
     ),
     (([(1, 2, 3, 4), (2, 3, 4, 5)], RIG), "^camera 1: .* got tuple"),
     (([], RIG), "^sync: expected two cameras or more, got a list of 0$"),
@@ -181,10 +181,7 @@ WRONG = [
         (Observation(ONE, frames=np.zeros((3, 2, 2))), OTHER, RIG, "zncc_f"),
         r"^camera 1: frames must be an array \(m, height, width\), and frame_times_s one of \(m,\)",
     ),
-    (
-        (ssac.EventFile(ONE, 640, 480), OTHER, RIG),
-        "^camera 1 of the rig is calibrated at 346 x 260 px, but camera 1 was recorded at 640",
-    ),
+    ((ssac.EventFile(ONE, 640, 480), OTHER, RIG), "at 346 x 260 px, but camera 1 .* at 640 x 480"),
     ((ssac.EventFile(None, None, None), OTHER, RIG), "^camera 1: events must"),
     ((PointTrack([0.0, 1.0], [[1, 2], [3, 4]]), OTHER, RIG), "numpy.asarray"),
     ((PointTrack(None, None), OTHER, RIG), "^camera 1: a track must have"),
