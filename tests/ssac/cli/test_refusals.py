@@ -192,12 +192,15 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
 )
 def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    result = run("sync", *args.split(), "--rig", "rig.yaml", code=NO_ESTIMATE)
+    options = "--rig", "rig.yaml", "--write-synced", "synced.h5"
+    result = run("sync", *args.split(), *options, code=NO_ESTIMATE)
     first, *_ = result.stdout.splitlines()
     assert first.startswith("no estimate    ")
     assert re.search(message, first)
     assert "error" not in result.stderr
     assert "search  " not in result.stderr
+    assert re.search(r"not written: \S*synced\.h5, since", result.stderr)
+    assert not (folder / "synced.h5").exists()
 
 
 def test_one_camera_of_a_bag_is_not_sent_to_an_option_of_two(folder, tmp_path):

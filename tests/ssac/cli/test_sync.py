@@ -123,19 +123,6 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
     assert [found[key] for key in missing] == [None] * len(missing)
 
 
-def test_no_reliable_estimate_says_why(recorded, tmp_path):
-    synced, plot = tmp_path / "synced.h5", tmp_path / "figures"
-    args = ("--method", "ssac", "--search", -1, 0.02, "--write-synced", synced, "--plot", plot)
-    result, found = answered(tmp_path, recorded.folder, *args, code=NO_ESTIMATE)
-    assert found["status"] == "search_bound"
-    assert "widen the interval" in found["reason"]
-    assert f"search_bound: {found['reason']}" in result.stdout
-    assert found["t_d_s"] is None
-    assert not synced.exists()
-    assert f"not written: {synced}" in result.stderr
-    assert [path.name for path in plot.iterdir()] == ["d_avg.png"]
-
-
 def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
     args = (recorded.folder, "--method", "joint", "--no-denoise")
     stds = []

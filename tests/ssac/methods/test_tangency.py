@@ -405,13 +405,6 @@ def test_a_delay_of_camera_2_changes_nothing_but_the_offset():
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
 
 
-def test_centres_of_area_are_searched_about_an_offset_or_where_the_views_are(monkeypatch):
-    views, shapes = body_views(shaped()), shapes_of(shaped())
-    monkeypatch.setattr(rigid_body, "_shapes_of", lambda _: shapes)
-    assert rigid_body.by_areas(views, 0.3).config.offsets_s == pytest.approx((-0.2, 0.8))
-    assert rigid_body.by_areas(views, np.nan).config.offsets_s == views.config.offsets_s
-
-
 def test_it_says_why_there_is_no_body():
     views = body_views(shaped())
     assert rigid_body.body_points(OFF, views) == ""  # tracks have no silhouettes

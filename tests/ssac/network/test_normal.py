@@ -101,16 +101,6 @@ def test_derivatives_are_those_of_differences() -> None:
         assert ours == pytest.approx(difference, abs=1e-5 * scale)  # the differences' own error
 
 
-def test_clocks_there_and_back() -> None:
-    seen = make_flight(2).seen[1]
-    state = with_strays(CameraState(3.0, 2e-3, seen.middle_s), seen, 4.0, 10)
-    state = replace(state, strays_s=np.array([0.0, 0.01, -0.01, 0.02, 0.0]))
-    times_s = np.linspace(*seen.span_s, 50)
-    back_s = state.own_from_network(state.network_from_own(times_s))
-    # Three rounds, each of which multiplies the error by the strays' slope, some 0.01.
-    assert back_s == pytest.approx(times_s, abs=1e-6)
-
-
 def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
     rng = np.random.default_rng(3)
     times_s = 0.01 * np.arange(60_000)

@@ -1,7 +1,6 @@
 """Laws of all our methods, how they are listed and chosen, and which stages they share."""
 
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 from importlib import import_module
 
@@ -208,11 +207,3 @@ def test_other_parameters_and_a_delay_share_all_that_they_leave_alone(
     assert +calls == Counter(expected)
     assert chain.under(config).delayed(delay_s).estimate("joint") is found  # the last is kept
     assert_same(found, Chain((raw[0], raw[1].delayed(delay_s)), RIG, config).estimate("joint"))
-
-
-def test_what_was_never_asked_for_need_not_be_usable(raw):
-    backwards = replace(raw[1], events=raw[1].events[::-1])
-    chain = Chain((raw[0], backwards), RIG)
-    assert chain.estimate("zncc_f").status == "ok"  # it uses frames alone
-    with pytest.raises(SsacError, match="camera 2: events must be sorted"):
-        chain.estimate("ssac")

@@ -1,6 +1,5 @@
 """Clean observations stay clean and move with their clock; events and points give the motion."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssac import PointTrack, SsacError
-from ssac.camera import Camera, distort_points, same_camera, undistort_points
+from ssac.camera import Camera, distort_points, undistort_points
 from ssac.config import Cleaning, Config
 from ssac.events import events_from_arrays
 from ssac.rules import PointRules
@@ -96,28 +95,6 @@ def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, r
     assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + 1e-6 * shift_us, abs=1e-12)
     assert track.track.times_s == pytest.approx(TRACK.times_s + 1e-6 * shift_us, abs=1e-12)
     assert track.span_s == pytest.approx((1e-6 * shift_us, 0.9 + 1e-6 * shift_us), abs=1e-12)
-
-
-def test_sums_are_found_again_in_another_process_and_of_other_events(cleaned):
-    motion = motion_of(cleaned, WINDOWS)
-    some = replace(cleaned, events=cleaned.events[:10_000])  # other events are summed up anew
-    assert np.array_equal(motion_of(some, WINDOWS).times_us, some.events["t"])
-    there = pickle.loads(pickle.dumps(cleaned))
-    assert not there.kept
-    assert_same(motion_of(there, WINDOWS), motion)
-    assert there.delayed(0.1).denoised
-
-
-def test_cameras_are_the_same_by_their_values():
-    assert same_camera(RADTAN, replace(RADTAN, K=K.copy()))
-    for name, value in (
-        ("K", K + np.eye(3)),
-        ("width", WIDTH + 1),
-        ("height", HEIGHT + 1),
-        ("distortion_coeffs", (-0.3, 0.1, 0.001, 0.0)),
-        ("distortion_model", "equidistant"),
-    ):
-        assert not same_camera(RADTAN, replace(RADTAN, **{name: value}))
 
 
 # --- Motion of events ---
