@@ -2,7 +2,7 @@
 
 import ast
 from dataclasses import asdict, replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,8 @@ from ssac.camera import (
     undistort_points,
     undistortion_map,
 )
-from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status, first
-from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, slice_time, time_quantum_s
+from ssac.estimate import POSE_IS_OPEN, Estimate, Refusal, Status, first
+from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, time_quantum_s
 from ssac.rules import Rules
 from tests.ssac.methods.flights import seen
 from tests.ssac.synthetic import make_scene
@@ -81,17 +81,6 @@ def test_unusable_events_are_refused(change, message):
     check_events(events, None, None, "camera 1")
     with pytest.raises(SsacError, match=message):
         check_events(change(events), 10, 7, "camera 1")
-
-
-def test_consecutive_slices_make_the_whole_and_are_views():
-    t = np.sort(np.random.default_rng(0).integers(0, 1000, 500))
-    events = _events(t)
-    edges = [-10, 0, 17, 17, 500, 999, 1000, 2000]
-    slices = [slice_time(events, a, b) for a, b in pairwise(edges)]
-    for part, (start, end) in zip(slices, pairwise(edges), strict=True):
-        assert np.all((part["t"] >= start) & (part["t"] < end))
-    np.testing.assert_array_equal(np.concatenate(slices), events)
-    assert np.shares_memory(slices[3], events)
 
 
 EVEN = np.arange(0, 3, 1 / 30)
@@ -201,9 +190,7 @@ def test_points_that_no_ray_reaches_are_nan():
         (_camera("fov", (0.9,)), "unknown distortion model 'fov': use one of none, radtan"),
         (_camera("radtan", (0.1,)), "'radtan' needs 4 or 5 or 8 finite coefficients"),
         (_camera("equidistant", (0, 0, 0, np.nan)), "'equidistant' needs 4 finite coefficients"),
-        (_camera("none", (0.1,)), "'none' needs 0 finite coefficients"),
         (Camera(K, 346, 260, readout_s=-0.01), "must take 0 to 0.2 s, .* got -0.01 s and 0.0 s"),
-        (Camera(K, 346, 260, readout_s=np.nan), "got nan s"),
         (Camera(K, 346, 260, readout_std_s=-1.0), "got None s and -1.0 s"),
     ],
 )
@@ -254,23 +241,7 @@ def test_a_clock_is_what_it_says():
 
 # --- Estimates ---
 
-IN_ORDER = (
-    "ok several_objects no_common_signal no_motion no_common_time too_few_samples search_bound"
-    " too_little_motion no_convergence clock_jump no_match poor_fit ambiguous_offset"
-    " degenerate_pose ambiguous_pose"
-)
 """Statuses in the order of the stages that give them."""
-
-
-def test_a_status_is_its_word_with_a_sentence_in_the_order_of_the_stages():
-    assert f"{Status.NO_MATCH}" == str(Status.NO_MATCH) == Status.NO_MATCH == "no_match"
-    assert {"no_match": 1}[Status.NO_MATCH] == 1
-    assert len({status.meaning for status in Status}) == len(Status)
-    for status in Status:
-        assert status.value == status.name.lower()
-        assert len(status.meaning.split()) > 4
-    assert IN_ORDER.split() == list(Status)
-    assert all(Status.OK not in settled for settled in SETTLED_BY.values())
 
 
 def test_the_first_of_several_refusals_is_that_of_the_earliest_stage():

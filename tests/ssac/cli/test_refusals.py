@@ -41,7 +41,6 @@ def folder(recorded, tmp_path_factory):
         (folder / name).write_bytes((recorded / name).read_bytes())
     (folder / "folder.h5").mkdir()
     (folder / "zero.h5").write_bytes(b"")
-    (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
     (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
     events = load_events(recorded / "cam1.h5").events
     for k in range(2):
@@ -80,7 +79,6 @@ def folder(recorded, tmp_path_factory):
 
 EVENTS = [
     ("folder.h5", "folder.h5: is a folder: give a file of one camera's events"),
-    ("outside.txt", "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
     ("cam2.h5", "cam2.h5: given for both cameras"),
     ("cam1.h5 --search -1e9 1e9", "--search: expected a smaller and a larger offset"),
     ("cam1.h5 --search 0 4000", "at most 3600 seconds apart, got 0 4000"),
@@ -94,7 +92,6 @@ EVENTS = [
     ("cam1.h5 --plot fig.JPG", "fig.JPG: cannot write the extension '.JPG': name a folder, or a"),
     ("cam1.h5 --plot cam1.h5/figures", "cam1.h5 is a file: name a folder"),
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
-    ("cam1.h5 --rtk zero.h5", "zero.h5: there are no points: give a path of some"),
     ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
     ("cam1.h5 --method event_rate --write-rig out.yaml", "--write-rig: needs a pose, and event_r"),
     ("cam1.h5 --method zncc_e --trajectory out.yaml", "--trajectory: needs a pose, and zncc_e"),
@@ -195,12 +192,15 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
 )
 def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    result = run("sync", *args.split(), "--rig", "rig.yaml", code=NO_ESTIMATE)
+    options = "--rig", "rig.yaml", "--write-synced", "synced.h5"
+    result = run("sync", *args.split(), *options, code=NO_ESTIMATE)
     first, *_ = result.stdout.splitlines()
     assert first.startswith("no estimate    ")
     assert re.search(message, first)
     assert "error" not in result.stderr
     assert "search  " not in result.stderr
+    assert re.search(r"not written: \S*synced\.h5, since", result.stderr)
+    assert not (folder / "synced.h5").exists()
 
 
 def test_one_camera_of_a_bag_is_not_sent_to_an_option_of_two(folder, tmp_path):

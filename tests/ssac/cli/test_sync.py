@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac import Clock, Config, Observation, PointTrack, Status, load_events, load_rig, sync
+from ssac import Clock, PointTrack, Status, load_events, load_rig, sync
 from ssac.cli.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
@@ -16,9 +16,6 @@ from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import short_names
 from ssac.pipeline.plots import d_avg_px
 from ssac.pipeline.report import report_text
-from ssac.rules import Rules, TrackRules
-from ssac.search.object_track import track_of_events
-from ssac.track.clean import clean
 from tests.recorded import T_D_S
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, mixed
@@ -126,19 +123,6 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
     assert [found[key] for key in missing] == [None] * len(missing)
 
 
-def test_no_reliable_estimate_says_why(recorded, tmp_path):
-    synced, plot = tmp_path / "synced.h5", tmp_path / "figures"
-    args = ("--method", "ssac", "--search", -1, 0.02, "--write-synced", synced, "--plot", plot)
-    result, found = answered(tmp_path, recorded.folder, *args, code=NO_ESTIMATE)
-    assert found["status"] == "search_bound"
-    assert "widen the interval" in found["reason"]
-    assert f"search_bound: {found['reason']}" in result.stdout
-    assert found["t_d_s"] is None
-    assert not synced.exists()
-    assert f"not written: {synced}" in result.stderr
-    assert [path.name for path in plot.iterdir()] == ["d_avg.png"]
-
-
 def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
     args = (recorded.folder, "--method", "joint", "--no-denoise")
     stds = []
@@ -215,18 +199,6 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
     result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
     assert result.status == "ok"
     assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # the same as for two event files
-
-
-def test_a_track_is_made_by_the_rules_that_are_given(recorded):
-    rig = load_rig(recorded / "rig.yaml")
-    config = Config()
-    seen = clean(Observation(load_events(recorded.pair[0]).events), rig.cam1, config.cleaning)
-    usual = track_of_events(seen, config)
-    rules = replace(Rules(), track=TrackRules(step_s=0.02, mean_sizes=0.08, least_sigma_px=0.2))
-    other = track_of_events(seen, replace(config, rules=rules))
-    assert np.median(np.diff(other.times_s)) == pytest.approx(0.02)
-    assert np.median(other.sigmas_px) == pytest.approx(2.0 * np.median(usual.sigmas_px), rel=0.05)
-    assert other.sigmas_px.min() >= 0.2
 
 
 def test_a_track_of_several_things_comes_with_a_warning(recorded, tmp_path):

@@ -106,21 +106,18 @@ MISSING = object()
     ("camera", "key", "value", "message"),
     [
         ("cam0", "camera_model", "omni", "cam0: camera_model must be pinhole, got 'omni'"),
-        ("cam0", "intrinsics", [200.0, 201.0, 173.0], "cam0, intrinsics: expected 4 finite"),
         ("cam0", "intrinsics", [np.nan, 201, 173, 130], "cam0, intrinsics: expected 4 finite"),
         ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 finite numbers, got 200"),
         ("cam0", "intrinsics_std", [0.1], "cam0, intrinsics_std: expected 4 finite num"),
         ("cam1", "readout_s", "fast", "readout_s: expected a finite number, got fast"),
         ("cam0", "resolution", [346], "cam0, resolution: expected 2 finite numbers"),
         ("cam0", "distortion_model", "plumb_bob", "plumb_bob needs 5 coefficients"),
-        ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
         ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
         ("cam1", "length_unit", "mm", "length_unit: expected m or first_baseline, got mm"),
         ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 finite"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
         # A hundredth longer than a rotation; rounding to four digits changes a ten thousandth.
         ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
-        ("cam1", "T_cn_cnm1", np.diag([1, 1, 2, 1]).tolist(), "R'R differs from I by 3"),
         *(
             ("cam1", key, MISSING, f"cam1: {key} missing")
             for key in ("camera_model", "intrinsics", "distortion_model", "resolution")
@@ -171,6 +168,8 @@ POSE = {"R": R, "T": T[:, None]}
         *((letter, tuple(FIVE), "radtan", POSE, T_2_1) for letter in "KM"),
         ("K", COEFFS, "equidistant", {"distortion_model": "equidistant"}, None),
         *(("M", (*FIVE, 0.0, 0.0, 0.1, *n * (0.0,)), "radtan", POSE, T_2_1) for n in (0, 4, 6)),
+        ("K", tuple(FIVE), "radtan", POSE | {"length_unit": "m"}, T_2_1),
+        ("K", tuple(FIVE), "radtan", POSE | {"length_unit": "first_baseline"}, T_2_1),
     ],
 )
 def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
@@ -180,15 +179,9 @@ def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
     for camera in (rig.cam1, rig.cam2):
         assert same_camera(camera, Camera(K, 346, 260, model, coeffs[:8]))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
-
-
-@pytest.mark.parametrize("unit", ["", "m", "first_baseline"])
-@pytest.mark.parametrize("cameras", [(1, 2), (2, 1)])
-def test_the_unit_of_an_opencv_pose_is_metres_only_where_that_is_stated(tmp_path, unit, cameras):
-    more = {"length_unit": unit} if unit else {}
-    rig = load_rig(_write_opencv(tmp_path / "stereo.yaml", **POSE, **more), cameras)
-    assert rig.in_metres == (unit == "m")
-    assert np.linalg.norm(rig.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
+    swapped = load_rig(path, (2, 1))
+    assert swapped.in_metres == rig.in_metres == (T_2_1 is None or more.get("length_unit") == "m")
+    assert T_2_1 is None or np.linalg.norm(swapped.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
 
 
 def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
@@ -203,7 +196,6 @@ def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
     [
         ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: mm", "length_unit: expected m or"),
         ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nreadout_s: 0.02", "readout_s is a key of"),
-        ("size: [ 346, 260 ]", "size: [ 346, 260 ]\nlength_unit: 1", "length_unit: expected m or"),
         ("size: [ 346, 260 ]", "", "the image size is missing: add `size"),
         ("K2", "Q2", "expected a matrix K2"),
         ("200.", ".Nan", "camera 1: K must be a finite 3x3 matrix"),

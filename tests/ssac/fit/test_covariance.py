@@ -136,20 +136,6 @@ def test_one_parameter_may_have_series_with_common_noise(sign):
     assert 0.85 < np.sqrt(np.mean(np.square(errors))) < 1.07
 
 
-def test_units_and_the_order_of_series_do_not_matter():
-    rng = np.random.default_rng(3)
-    times_s, series = gapped_series(rng)
-    jacobian, noise = waves(times_s, 4, rng), rng.normal(size=len(times_s))
-    left, units = left_of(jacobian, noise)[0], np.array([1e-2, 1.0, 10.0, 1e2])
-    covariance = covariance_of(times_s, jacobian, left)
-    scaled = covariance_of(times_s, jacobian / units, left)
-    # Rounding, and the prior, which is the same in the new units.
-    np.testing.assert_allclose(scaled, covariance * np.outer(units, units), rtol=1e-3)
-    turned = np.argsort(-series, kind="stable")
-    other = covariance_of(times_s[turned], jacobian[turned], left[turned])
-    np.testing.assert_allclose(other, covariance, rtol=1e-9)  # rounding
-
-
 @pytest.mark.parametrize("share", [0.0, 1e-12])
 def test_what_the_data_do_not_tell_is_unknown(share):
     rng = np.random.default_rng(4)

@@ -135,12 +135,6 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
     np.testing.assert_allclose(found.distances_px, weights * expected)
 
 
-def test_steps_that_run_out_are_said():
-    found = solve(rate_problem(), TRUTH, max_steps=1)
-    assert not found.converged
-    assert solve(rate_problem(), TRUTH, max_steps=5, last_step=0.0).converged  # all steps are taken
-
-
 # --- Uncertain intrinsics ---
 
 LENSES = {
@@ -202,16 +196,6 @@ def test_columns_move_points_as_rays_undistorted_with_other_intrinsics(lens):
         np.testing.assert_array_equal(second.dp2_px, first.dp1_px)
         assert not first.dp2_px.any()
         assert not second.dp1_px.any()
-
-
-def test_exact_intrinsics_add_nothing():
-    problem = problem_of(rig_of(0.0, 0.0), noise_px=0.3)
-    allowance = intrinsics.Allowance(problem.rig)
-    assert allowance.is_made
-    assert allowance.added(problem) is problem
-    parameters = solve(problem, TRUTH).parameters
-    assert intrinsics.evidence(linearise(problem, parameters), UNHIDDEN) == 0.0
-    np.testing.assert_array_equal(intrinsics.intrinsics_of(problem, parameters), [K, K])
 
 
 @pytest.mark.parametrize("pose_is_known", [False, True])

@@ -6,9 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments.studies.efficiency import cramer_rao_bound, fisher_information
 from ssac import Clock, Config, Estimate, TwoViews
 from ssac.fit.intrinsics import Allowance
-from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, linearise, moved, solve
+from ssac.fit.least_squares import Parameters, Problem, moved, solve
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods import clocks
 from ssac.methods.clocks import clock_model
@@ -78,12 +79,9 @@ def cramer_rao(scene, sigma_px, n=400):
     times_s = (np.arange(n) + 0.5) * scene.duration_s / n
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
-    pairs = WeighedPairs(times_s, p1, p2, v2, np.ones(n), T_D_S)
-    true = Parameters(T_D_S, scene.R, scene.t / np.linalg.norm(scene.t))
-    jacobian = linearise(Problem(pairs, scene.rig, FitRules()), true).jacobian
-    covariance = sigma_px**2 * np.linalg.inv(jacobian.T @ jacobian)
-    angles = (np.sqrt(np.trace(covariance[part, part])) for part in (slice(1, 4), slice(4, 6)))
-    return 1e3 * np.sqrt(covariance[0, 0]), *np.degrees(list(angles))
+    t = scene.t / np.linalg.norm(scene.t)
+    bound = cramer_rao_bound(fisher_information(p1, p2, v2, scene.R, t, scene.rig, sigma_px))
+    return 1e3 * bound.t_d_s, *np.degrees([bound.R_rad, bound.t_rad])
 
 
 def test_zero_noise_and_a_wrong_start_give_the_truth():

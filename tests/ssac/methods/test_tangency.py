@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from ssac import Camera, Chain, Config, Estimate, Observation, PointTrack, Rig, TwoViews, two_views
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import moved_pose, pencils
-from ssac.methods import joint, rigid_body, tangency
+from ssac.methods import rigid_body, tangency
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
-from ssac.rules import OutlineRules, PointRules, Rules, TangencyRules
+from ssac.rules import OutlineRules, PointRules, TangencyRules
 from ssac.search.object_track import ShapedTrack
 from ssac.track.denoise import Clutter
 from ssac.track.motion import point_motion
@@ -155,24 +155,6 @@ def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
     assert (estimate.method, estimate.status) == ("tangency", "ok")
     alone = tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
     assert alone.status == "degenerate_pose"
-
-
-def test_no_start_is_refined_twice_where_both_methods_refuse(monkeypatch):
-    unsure = replace(Rules(), verdict=replace(Rules().verdict, max_pose_std_deg=1e-6))
-    asked, made, estimate = [], [], joint._OfPositions.estimate
-
-    def counted(refinement, *pose):
-        made.append((refinement.views.config, joint._content(refinement.start)))
-        return estimate(refinement, *pose)
-
-    monkeypatch.setattr(joint._OfPositions, "estimate", counted)
-    refine = joint.refine
-    for module in (joint, tangency):
-        monkeypatch.setattr(module, "refine", lambda *of: (asked.append(of), refine(*of))[1])
-    scene = synthetic.make_scene(0, duration_s=DURATION_S)
-    found = Chain(seen(scene), scene.rig, replace(NEAR, rules=unsure)).estimate("tangency")
-    assert found.status == "degenerate_pose"
-    assert len(made) == len(set(made)) < len(asked)
 
 
 def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_start():
@@ -421,13 +403,6 @@ def test_a_delay_of_camera_2_changes_nothing_but_the_offset():
         # The tolerance is the rounding of times, as the tracks are interpolated on another clock.
         # No comparison may turn out differently, which would change points by far more.
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
-
-
-def test_centres_of_area_are_searched_about_an_offset_or_where_the_views_are(monkeypatch):
-    views, shapes = body_views(shaped()), shapes_of(shaped())
-    monkeypatch.setattr(rigid_body, "_shapes_of", lambda _: shapes)
-    assert rigid_body.by_areas(views, 0.3).config.offsets_s == pytest.approx((-0.2, 0.8))
-    assert rigid_body.by_areas(views, np.nan).config.offsets_s == views.config.offsets_s
 
 
 def test_it_says_why_there_is_no_body():

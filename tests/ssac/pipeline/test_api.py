@@ -149,7 +149,6 @@ A_CAMERA = "expected a file, a structured array of events with the fields t, x, 
 BAD_K = [3.0, None, np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
 POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
 UNEQUAL = [((9, 2),), ((10, 3),), ((10, 2), (9,))]  # shapes of points and deviations
-THREE = [ONE, OTHER, Observation(ONE).delayed(0.02)], Cameras((CAMERA,) * 3, (SCENE.rig.T_2_1,) * 2)
 WRONG = [
     ((1, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got int 1$"),
     ((ONE, None, RIG), rf"^camera 2: {A_CAMERA}.* got NoneType None$"),
@@ -160,7 +159,7 @@ WRONG = [
     ((ONE[0], OTHER, RIG), "^camera 1: expected a file.* got void"),
     (
         ([(1, 2, 3, 4)], OTHER, RIG),
-        r"^sync: a list of cameras stands for all .* call sync\(\[a, b, c\], rig, method=",
+        r"^sync: a list of cameras .* call sync\(\[a, b, c\], rig, me",
     ),
     (([(1, 2, 3, 4), (2, 3, 4, 5)], RIG), "^camera 1: .* got tuple"),
     (([], RIG), "^sync: expected two cameras or more, got a list of 0$"),
@@ -169,10 +168,8 @@ WRONG = [
     ((ONE, OTHER, CAMERA), "^rig: expected .* got Camera"),
     ((ONE, OTHER, [K, K]), "^rig: expected .* got list"),
     ((ONE, OTHER, [CAMERA]), "^rig: it has 1 cameras, and there are 2 recordings"),
-    ((ONE, OTHER, "nix.yaml"), r"^nix\.yaml: there is no such file"),
     ((ONE, OTHER, Rig(replace(CAMERA, height=260.5), CAMERA)), "got 346 x 260.5"),
     ((ONE, OTHER, Rig(CAMERA, None)), "^camera 2: expected a ssac.Camera, got None"),
-    (("nix.h5", OTHER, RIG), r"^nix\.h5: there is no such file"),
     ((ONE, ONE, RIG), "^one recording: given for both cameras: give each camera's"),
     (
         (ONE, Observation(ONE).delayed(0.02), RIG),
@@ -184,25 +181,12 @@ WRONG = [
         (Observation(ONE, frames=np.zeros((3, 2, 2))), OTHER, RIG, "zncc_f"),
         r"^camera 1: frames must be an array \(m, height, width\), and frame_times_s one of \(m,\)",
     ),
-    (
-        (ssac.EventFile(ONE, 640, 480), OTHER, RIG),
-        "^camera 1 of the rig is calibrated at 346 x 260 px, but camera 1 was recorded at 640",
-    ),
-    ((ssac.EventFile(ONE, 346, 480), OTHER, RIG), "was recorded at 346 x 480 px"),
+    ((ssac.EventFile(ONE, 640, 480), OTHER, RIG), "at 346 x 260 px, but camera 1 .* at 640 x 480"),
     ((ssac.EventFile(None, None, None), OTHER, RIG), "^camera 1: events must"),
     ((PointTrack([0.0, 1.0], [[1, 2], [3, 4]]), OTHER, RIG), "numpy.asarray"),
     ((PointTrack(None, None), OTHER, RIG), "^camera 1: a track must have"),
     ((ONE, OTHER, RIG, 3), "^unknown method 3: use one of ssac, ssac-known"),
-    ((ONE, OTHER, RIG, ""), "^unknown method '': use one of"),
     ((ONE, OTHER, RIG, ["joint"]), r"^unknown method \['joint'\]: use one of"),
-    (
-        (*THREE, None, "tangency-known"),
-        "^tangency-known: holds the rig's pose, .*, such as tangency$",
-    ),
-    (
-        (*THREE, None, "event_rate"),
-        "^event_rate: finds the offset alone, and of more than two cameras poses",
-    ),
     *(((ONE, OTHER, [CAMERA, Camera(bad, WIDTH, HEIGHT)]), "^camera 2: .*got") for bad in BAD_K),
     *(((ONE, OTHER, Rig(CAMERA, CAMERA, bad)), "^the rig, .*: expected a") for bad in POSES),
 ]
@@ -284,10 +268,6 @@ def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
     for numbers in (3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)):
         with pytest.raises(SsacError, match=r"^cameras: expected the numbers|for both|no cam2"):
             ssac.sync(ONE, OTHER, files / "rig.yaml", cameras=numbers)
-    of_two = {"cameras": (1, 3), "known_extrinsics": True, "estimate_readout": True}
-    for name, value in of_two.items():
-        with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
-            ssac.sync([ONE, OTHER, ONE], [CAMERA] * 3, **{name: value})
     for fields in ({"distance_m": "a"}, {"distance_m": -1}, {"distance_m": 1, "rtk": Path("a")}):
         with pytest.raises(SsacError, match=r"distance_m"):
             Known(**fields)

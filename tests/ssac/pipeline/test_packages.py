@@ -18,18 +18,7 @@ from experiments.lab.grid import Cell, load_config
 from experiments.lab.schedule import refusal
 from experiments.lab.scored import SCORED, scored_row
 from sim.recording import SimConfig
-from ssac import (
-    Chain,
-    Config,
-    Estimate,
-    Observation,
-    PluginError,
-    PointTrack,
-    Result,
-    SsacError,
-    load_events,
-    load_rig,
-)
+from ssac import Chain, Config, Estimate, Observation, PluginError, SsacError, load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import METHODS, OURS, Input, Registry, choose_method
@@ -167,12 +156,10 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(name, source, messa
         ('Estimate("mine", t_d_s=0.0, R=2.0 * np.eye(3))', "R = .*: give an array"),
         ('Estimate("mine", t_d_s=0.0, t=np.array([5.0, 0.0, 0.0]))', "t = .*: give an array"),
         ('Estimate("mine", t_d_s=None)', "t_d_s = None: give one number"),
-        ('Estimate("mine", t_d_s=0.0, t_d_std_s=None)', "t_d_std_s = None: give one number"),
         ('Estimate("mine", t_d_s=0.0, n_samples="a")', "n_samples = 'a': give one whole number"),
         ('Estimate("mine", None)', "status = None: give text"),
         ('Estimate("mine", "dark", reason=None)', "reason = None: give text"),
         ('Estimate("mine", t_d_s=0.0, R="no")', "R = 'no': give an array of numbers, or None"),
-        ('Estimate("mine", t_d_s=0.0, costs=None)', "costs = None: give an array of numbers"),
         ('Estimate("mine", t_d_s=0.0, costs=[[1.0]])', r"costs = \[\[1\.0\]\]: give an array"),
     ],
 )
@@ -192,7 +179,7 @@ def test_values_that_mean_the_same_as_those_of_an_estimate_become_those(site, ch
     returned = f'Estimate("mine", t_d_s={numbers}, {a_pose}, {curve})'
     source = "import numpy as np\n" + GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
     install(site, "casual", "mine = casual:estimate", source)
-    result = Result(chain.answer(Registry()["mine"]))
+    result = ssac.Result(chain.answer(Registry()["mine"]))
     assert_same(
         result.estimate,
         Estimate(
@@ -233,24 +220,19 @@ def test_a_crash_is_the_packages_and_a_row_of_a_table(site, chain, recorded, tmp
 
 CALLABLE = """
 from dataclasses import dataclass
-from ssac import SsacError
 
 @dataclass  # which cannot be hashed
 class Mine:
     def __call__(self, cam1, cam2, rig, config): return estimate(cam1, cam2, rig)
 
 mine = Mine()
-
-def picky(a, b, c, d): raise SsacError('a is too dark')
 """
 
 
-def test_any_callable_runs_and_an_input_that_it_refuses_is_no_crash(site, chain):
-    for name in ("estimate", "mine", "picky"):
+def test_any_callable_runs(site, chain):
+    for name in ("estimate", "mine"):
         install(site, name, f"{name} = {name}:{name}", GOOD + CALLABLE)
     assert [chain.estimate(Registry()[name]).t_d_s for name in ("estimate", "mine")] == [0.25] * 2
-    with pytest.raises(SsacError, match=r"^a is too dark$"):
-        chain.estimate(Registry()["picky"])
 
 
 LOOKING = """
@@ -275,7 +257,7 @@ def test_a_method_gets_what_is_clean_and_more_only_if_it_asks(site, recorded, mo
     for name in names:
         install(site, name, f"{name} = {name}:{name.upper()}", LOOKING)
     monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
-    rig = load_rig(recorded / "rig_extrinsics.yaml")
+    rig = ssac.load_rig(recorded / "rig_extrinsics.yaml")
     files = (Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2))
     chain = Chain([*files], rig)
     for name in names:
@@ -361,7 +343,7 @@ def test_the_example_takes_tracks_and_all_offsets_of_a_straight_path_for_an_inte
     install(site, "track_speed", "track_speed = track_speed:track_speed", source)
     scene = make_scene(0, duration_s=8.0)
     one, other = (frame_track(scene, 1, 50.0, offset_s) for offset_s in (0.0, 0.25))
-    few = PointTrack(np.delete(other.times_s, 20), np.delete(other.points_px, 20, axis=0))
+    few = ssac.PointTrack(np.delete(other.times_s, 20), np.delete(other.points_px, 20, axis=0))
     chain = Chain([tracked(one), tracked(few)], scene.rig)
     found = chain.estimate(Registry()["track_speed"])
     assert (found.status, found.t_d_s) == ("ok", pytest.approx(0.25, abs=1e-9))  # whole steps

@@ -1,7 +1,6 @@
 """Laws of all our methods, how they are listed and chosen, and which stages they share."""
 
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 from importlib import import_module
 
@@ -183,51 +182,28 @@ def test_a_method_changes_no_input_and_gives_the_same_for_what_is_clean(name, ra
         np.testing.assert_array_equal(seen.events, kept)
 
 
-def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
-    chain = Chain(raw, RIG)
-    chain.estimate("joint")
-    calls.clear()
-    late = chain.delayed(0.1)
-    assert late.clean(0) is chain.clean(0)
-    assert np.array_equal(late.clean(1).events["t"], chain.clean(1).events["t"] + 100_000)
-    found = late.estimate("joint")
-    assert calls["clean"] == calls["_summed_up"] == 0
-    assert calls["algorithm_2"] == calls["joint_from"] == 1
-    again = chain.delayed(0.1).under(Config(n_samples=300)).under(Config())
-    assert again.estimate("joint") is found  # the last delay is kept
-    chain.delayed(0.2).clean(1)
-    assert chain.delayed(0.1).estimate("joint") is not found
-    assert chain.delayed(0.0) is chain
-    with pytest.raises(SsacError, match="n_min must be a whole number of 1 "):
-        late.under(Config(n_min=0))
-
-
 FROM_VIEWS = {"view_of": 2, "algorithm_2": 1, "joint_from": 1}
 SHARED = (
-    (Config(), {}),
-    (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
-    (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
-    (Config(half_window_s=0.015), FROM_VIEWS),
-    (Config(n_min=20), FROM_VIEWS),
-    (Config(max_border_fraction=0.5), FROM_VIEWS),
-    (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
-    (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
-    (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
+    (Config(), 0.0, {}),
+    (Config(), 0.1, {"one_object": 1, **FROM_VIEWS}),
+    (Config(skew_prior_ppm=20.0), 0.0, {"joint_from": 1}),
+    (Config(seed=5), 0.0, {"algorithm_2": 1, "joint_from": 1}),
+    (Config(half_window_s=0.015), 0.0, FROM_VIEWS),
+    (Config(n_min=20), 0.0, FROM_VIEWS),
+    (Config(max_border_fraction=0.5), 0.0, FROM_VIEWS),
+    (Config(border_px=9), 0.0, {"_summed_up": 2, **FROM_VIEWS}),
+    (Config(interval_s=(-0.5, 0.5)), 0.0, {"one_object": 1, **FROM_VIEWS}),
+    (Config(n_neighbours=2), 0.0, {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
 )
 
 
-@pytest.mark.parametrize(("config", "expected"), SHARED, ids=range(len(SHARED)))
-def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw, chain, calls):
+@pytest.mark.parametrize(("config", "delay_s", "expected"), SHARED, ids=range(len(SHARED)))
+def test_other_parameters_and_a_delay_share_all_that_they_leave_alone(
+    config, delay_s, expected, raw, chain, calls
+):
     chain.estimate("joint")
     calls.clear()
-    found = chain.under(config).estimate("joint")
+    found = chain.under(config).delayed(delay_s).estimate("joint")
     assert +calls == Counter(expected)
-    assert_same(found, Chain(raw, RIG, config).estimate("joint"))
-
-
-def test_what_was_never_asked_for_need_not_be_usable(raw):
-    backwards = replace(raw[1], events=raw[1].events[::-1])
-    chain = Chain((raw[0], backwards), RIG)
-    assert chain.estimate("zncc_f").status == "ok"  # it uses frames alone
-    with pytest.raises(SsacError, match="camera 2: events must be sorted"):
-        chain.estimate("ssac")
+    assert chain.under(config).delayed(delay_s).estimate("joint") is found  # the last is kept
+    assert_same(found, Chain((raw[0], raw[1].delayed(delay_s)), RIG, config).estimate("joint"))

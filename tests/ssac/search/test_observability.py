@@ -163,24 +163,6 @@ def test_straight_is_narrow_beside_its_length_and_beside_the_object():
             assert view_of(motion, rules).is_straight == is_straight
 
 
-@pytest.mark.parametrize(
-    ("x_px", "y_px", "uniform"),
-    [
-        (wave(0.7), wave(0.7, 1.2), True),  # a circle, seen obliquely
-        (wave(0.7), lambda t_s: wave(0.7, 1.2, reach_px=30.0)(t_s) + 8.0 * (t_s - 4.0), True),
-        (wave(0.7), wave(1.1), False),
-        (wave(0.7), lambda t_s: wave(0.7, 1.2)(t_s) + 12.0 * np.sin(t_s), False),
-        (wave(0.7), wave(0.7), False),  # a line says nothing
-    ],
-)
-def test_a_circle_and_a_helix_fit_themselves_after_any_delay(x_px, y_px, uniform):
-    motion = motion_along(x_px, y_px)
-    for other, are_uniform in ((motion, uniform), (motion_along(wave(0.7), wave(1.1)), False)):
-        for motions in ((motion, other), (other, motion)):
-            views = TwoViews(*motions, SCENE.rig, Config())
-            assert views.alone.are_uniform == are_uniform
-
-
 @pytest.mark.parametrize(("seed", "noise_px"), [(0, 0.3), *((seed, 0.0) for seed in range(6))])
 def test_a_planar_path_leaves_the_fundamental_matrix_open_with_noise_and_without(seed, noise_px):
     """Bug: a least eigenvalue of zero, which rounding may make negative, was taken as no F."""

@@ -1,7 +1,5 @@
 """The search for an offset: pairs of two views, analytic cost curves, and all offsets."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from ssac.search.all_offsets import search_all_offsets
 from ssac.search.start import large_jump
 from ssac.search.view import seen_by_both, seen_of
 from ssac.track.motion import object_motion, point_motion
-from tests.ssac.synthetic import CAMERA, K, make_events, make_scene
+from tests.ssac.synthetic import CAMERA, make_events, make_scene
 from tests.ssac.tracks import frame_track, frame_tracks
 
 T_D_S = 0.25
@@ -26,25 +24,6 @@ OFFSETS_S = np.arange(-1000, 1001) * 1e-3
 def views():
     streams = make_events(SCENE, seed=0, t_d_s=T_D_S)
     return TwoViews(*(object_motion(one, CAMERA) for one in streams), SCENE.rig, Config())
-
-
-def test_pairs_obey_the_sign_convention(views):
-    few = replace(views.motion1, n_min=900)  # some windows hold fewer events
-    views = replace(views, config=Config(n_min=300), motion1=few)
-    pairs, one = views.pairs(np.array([-0.1, T_D_S])), views.pairs_at(T_D_S)
-    for m, t_d_s in enumerate((-0.1, T_D_S)):
-        track1 = views.motion1.at(pairs.times_s[m])
-        track2 = views.motion2.at(pairs.times_s[m] + t_d_s)
-        assert np.array_equal(pairs.p1_px[m], track1.positions_px, True)
-        assert np.array_equal(pairs.p2_px[m], track2.positions_px, True)
-        assert np.array_equal(pairs.valid[m], track1.valid & track2.valid)
-    # `pairs_at` returns the valid pairs of its offset.
-    assert 0 < len(one) < len(pairs.times_s[1])
-    assert np.array_equal(one.times_s, pairs.times_s[1, pairs.valid[1]])
-    for ours, theirs in zip(one.points_px, pairs.valid_positions(1), strict=True):
-        assert np.array_equal(ours, theirs)
-    rays1, _ = one.rays(SCENE.rig)
-    np.testing.assert_allclose((rays1 @ K.T)[:, :2], one.p1_px, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -123,16 +102,6 @@ def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
     found = searched(lambda t: np.where(t > 0.45, np.nan, valley(t)), returns_s=np.array([0.4]))
     assert found.t_d_s == pytest.approx(0.2, abs=5e-6)
     assert len(offset_search.valleys(found.candidates_s, found.d_avg_px, found.t_d_s, RULES)) == 1
-
-
-def test_candidates_keep_half_of_the_longest_overlap(views):
-    near, far = (
-        offset_search.candidate_offsets(replace(views, config=Config(interval_s=interval_s)))
-        for interval_s in ((-10.0, 10.0), (20.0, 30.0))
-    )
-    # The overlap is 4 s at the offset 0.25 s, and 2 s at offsets 2 s away on either side.
-    assert near[[0, -1]] == pytest.approx([-1.75, 2.25], abs=0.002)
-    assert len(far) == 0
 
 
 # --- All offsets ---

@@ -41,16 +41,6 @@ def two_flights():
     return cameras, things, one_object(cameras, RULES, NEAR)
 
 
-def test_one_thing_passes_as_it_is():
-    cameras = [*map(denoised, flight(4))]
-    found, refusal = one_object(cameras, RULES, NEAR)
-    assert refusal is None
-    assert [(left.used.seen, left.used.share) for left in found] == [(1, 1.0), (1, 1.0)]
-    for camera, left in zip(cameras, found, strict=True):
-        assert left.events is camera.events
-        assert len(left.gaps_us) == 0
-
-
 @pytest.mark.parametrize(
     ("others", "n_seen", "most_of_other"),
     [

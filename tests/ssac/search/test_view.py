@@ -12,7 +12,7 @@ from ssac.search import view
 from ssac.search.two_views import shutters_of
 from ssac.track.observation import tracked
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
-from tests.ssac.tracks import FPS, frame_tracks
+from tests.ssac.tracks import frame_tracks
 
 DURATION_US = 6_000_000
 
@@ -159,18 +159,3 @@ def test_images_move_as_the_readout_says():
         assert np.nanmedian(errors) < 10.0
         assert np.nanmedian(np.linalg.norm(numeric[k], axis=1)) > 50.0
         assert np.all(by_readout[1 - k] == 0.0)
-
-
-def test_only_what_is_not_known_is_estimated_and_lies_between_none_and_a_frame():
-    cameras = flight(2, (0.0, 0.0))
-    views = two_views(*cameras, Rig(UNKNOWN, UNKNOWN), CONFIG)
-    shutters = shutters_of(views)
-    np.testing.assert_allclose(shutters.within(np.array([-0.01, 1.0])), [0.0, 1.0 / FPS[1]])
-    read_out = shutters.views(views, np.array([0.02, 0.03]))
-    np.testing.assert_allclose(shutters_of(read_out).longest_s, shutters.longest_s)  # of frames
-    known = replace(CAMERA, readout_s=0.012)
-    assert shutters_of(two_views(*cameras, Rig(known, UNKNOWN), CONFIG)).cameras == (1,)
-    views = two_views(*cameras, Rig(known, CAMERA), CONFIG)
-    shutters = shutters_of(views)
-    assert shutters.cameras == ()
-    assert shutters.views(views, np.empty(0)) is views

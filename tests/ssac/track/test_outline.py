@@ -16,8 +16,7 @@ from ssac.track.motion import motion_of, object_motion
 from ssac.track.objects import objects_of, seem_several
 from ssac.track.outline import highest_in_blocks, near_outline, tangents
 from ssac.track.thin_line import events_on_line
-from tests.ssac import synthetic
-from tests.ssac.cluttered import branches, flight, merged, mixed, noise
+from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, events_at, make_events, make_scene
 
 FOCAL_PX = 1000.0
@@ -219,42 +218,3 @@ def test_one_thing_is_one_though_the_parts_of_a_large_one_seem_several(size_m):
     assert any(seem_several(one, CAMERA, RULES) for one in streams) == (size_m > 1.0)
     assert not any(objects_of(one, CAMERA, RULES).are_several for one in streams)
     assert not seem_several(np.empty(0, EVENT_DTYPE), CAMERA, RULES)
-
-
-def test_each_piece_is_of_one_thing():
-    events, thing = mixed(flight(4)[0], flight(5)[0])
-    found = objects_of(events, CAMERA, RULES)
-    assert found.are_several
-    assert found.n_seen == 2
-    shares, n_bins = [], 0
-    for piece in found.pieces:
-        share = np.mean(thing[found.events_of([piece])])
-        shares.append(max(share, 1.0 - share))
-        n_bins += len(piece.positions_px)
-    # Where two objects touch, one or two of the few bins at a piece's ends hold both.
-    assert np.mean(np.array(shares) > 0.97) > 0.9
-    # Both are in view most of the time, and apart for most of that.
-    assert n_bins > 1.2 * np.ptp(events["t"]) / RULES.bin_us
-
-
-def test_pieces_follow_the_path():
-    found = objects_of(flight(4)[0], CAMERA, RULES)
-    for piece in found.pieces:
-        bins = np.arange(piece.first, piece.last)
-        times_s = 1e-6 * (found.start_us + RULES.bin_us * (bins + 0.5))
-        inner = (times_s > 0.02) & (times_s < 7.98)  # bins that the flight fills
-        seen_px = synthetic.track_pair(make_scene(4, duration_s=8.0), times_s)[0]
-        apart_px = np.linalg.norm(piece.positions_px - seen_px, axis=1)
-        # The mean of 500 events of 16 px is good to 0.3 px; images that leave the view are cut.
-        assert np.median(apart_px[inner]) < 0.5
-
-
-def test_what_stays_in_its_place_is_no_piece():
-    events, thing = mixed(flight(4)[0], branches(1))
-    found = objects_of(events, CAMERA, RULES)
-    assert found.are_several
-    assert found.n_seen > 2
-    chosen = thing[found.events_of(found.pieces)]
-    assert len(chosen) > 0.3 * np.count_nonzero(thing == 0)
-    # Few leaves lie beyond the cells that leaves fill in a third of the bins.
-    assert np.mean(chosen) < 0.02
