@@ -6,24 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
 from experiments.studies import network
 from experiments.studies.network import GrowthCell
-from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
 from ssac.clock import Clock
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track
 from ssac.network.tum import Path as SpacePath
 from tests.experiments.reported import true_flight
-
-
-def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
-    four, two = network.FOUR_CAMERAS, SimConfig(angle_deg=network.ANGLE_DEG)
-    for camera, other in zip(*(one.scene(0).rig.cameras for one in (four, two)), strict=False):
-        np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
-    assert recording_key(four, 0) != recording_key(two, 0)
 
 
 def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None:
