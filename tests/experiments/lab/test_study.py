@@ -88,9 +88,6 @@ def study(*arguments):
     return command("study", *arguments, "--workers", 1)
 
 
-# --- Files ---
-
-
 def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path):
     study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     names = {path.name for path in tmp_path.iterdir() if path.is_file()}
@@ -169,9 +166,6 @@ def test_gaps_in_the_runs_are_found(tmp_path):
             check_runs(STUDY, damaged, CELLS)
 
 
-# --- What is done, and what is left ---
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), WriteError("the disk is full")])
 def test_what_is_done_is_not_done_again_and_a_stopped_study_goes_on(tmp_path, capsys, error):
     FAULTS["number 2"] = error
@@ -213,9 +207,6 @@ def test_what_a_method_refuses_is_kept_and_a_full_disk_stops_the_study(tmp_path)
     FAULTS.clear()
     # The first cell is that of number 0 and power 1.
     assert list(run(tmp_path).runs["status"]) == ["unusable", *["ok"] * 7]
-
-
-# --- Other runs on the same recordings, and workers that die ---
 
 
 @pytest.mark.parametrize("finishes", [True, False])

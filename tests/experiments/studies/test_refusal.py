@@ -86,8 +86,6 @@ def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
     assert other.cam1.events.size != first.cam1.events.size
 
 
-# --- Whether refusals say why ---
-
 CELLS = refusal.reason_cells(base=1, recordings=1)
 
 TWINS = ("at rest", "outside the interval", "short", "different objects", "clock jumps, tracks",
