@@ -45,14 +45,6 @@ def test_a_short_flight_gives_both_tables(tmp_path: Path) -> None:
     assert (tmp_path / "outdoor.png").exists() == is_drawn
 
 
-def test_options_are_those_of_the_cells() -> None:
-    cells = outdoor.cells(flights=2, duration=30.0, third=False)
-    assert [cell.kind for cell in cells] == [*KINDS[:-1]] * 2
-    assert {cell.config.spline.duration_s for cell in cells} == {30.0}
-    with_third = [cell for cell in outdoor.cells(1) if len(cell.recordings) == 2]
-    assert [cell.kind for cell in with_third] == ["three_cameras"]
-
-
 DURATION_S = 60.0
 CONFIG = outdoor.outdoor_config(DURATION_S)
 SCENE = CONFIG.scene(3)
