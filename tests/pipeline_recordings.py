@@ -126,7 +126,6 @@ SHORT = make_scene(2, duration_s=3.0)
 LINE = _along(lambda t: [1.2 * np.sin(2.0 * t), 0.5 * np.sin(2.0 * t), 0.0])
 
 RECORDINGS: dict[str, Callable[[], Seen]] = {
-    # Events
     "ordinary": lambda: Seen(_events()),
     "without_pose": lambda: Seen(_events(), has_pose=False),
     "known_extrinsics": lambda: Seen(_events(), options={"known_extrinsics": True}),
@@ -147,7 +146,6 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     ),
     "two_drones": lambda: Seen(_crowd(4, 5), (make_scene(4),)),
     "people": lambda: Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),)),
-    # Tracks
     "tracks": _tracks,
     "tracks_far_apart": lambda: _tracks(7.3),
     "tracks_in_an_interval": lambda: _tracks(config={"interval_s": (-0.5, 0.6)}),
@@ -161,7 +159,6 @@ RECORDINGS: dict[str, Callable[[], Seen]] = {
     "frame_rate": lambda: _tracks(3.0, 0.71, config={"rates": (0.705, 0.715)}),
     "readout": lambda: _tracks(readout_s=0.03, estimate_readout=True),
     "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], frame_tracks(SCENE, T_D_S)[1])),
-    # Three cameras
     "three_cameras": lambda: Seen(_three(4), _round(4)),
     "three_cameras_two_drones": lambda: Seen(
         [mixed(*both)[0] for both in zip(_three(4), _three(5, 0.5), strict=True)], _round(4)

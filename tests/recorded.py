@@ -38,14 +38,18 @@ class Recorded:
         return str(self / "cam1.h5"), str(self / "cam2.h5")
 
 
-def record(folder: Path) -> Recorded:
-    """Record 8 s at 90 deg; camera 2's clock reads T_D_S more than camera 1's."""
-    scene = make_scene(seed=0, duration_s=DURATION_S)
+def record(
+    folder: Path, duration_s: float = DURATION_S, t_d_s: float = T_D_S, has_frames: bool = True
+) -> Recorded:
+    """Record a flight at 90 deg; camera 2's clock reads t_d_s more than camera 1's."""
+    folder.mkdir(exist_ok=True)
+    scene = make_scene(seed=0, duration_s=duration_s)
     # The events are as dense as a real object's, so that denoising keeps them.
-    streams = make_events(scene, seed=0, t_d_s=T_D_S, size_m=0.4)
-    for name, events, offset_s in zip(("cam1", "cam2"), streams, (0.0, T_D_S), strict=True):
+    streams = make_events(scene, seed=0, t_d_s=t_d_s, size_m=0.4)
+    for name, events, offset_s in zip(("cam1", "cam2"), streams, (0.0, t_d_s), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
-        add_frames(folder / f"{name}.h5", offset_s)
+        if has_frames:
+            add_frames(folder / f"{name}.h5", offset_s)
     (folder / "rig.yaml").write_text(KALIBR)
     (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene))
     return Recorded(folder, scene)

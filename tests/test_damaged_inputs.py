@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trimesh.creation import box
 
-from experiments.lab.cache import row_of_text, text_of_row
 from experiments.lab.grid import CONFIGS, load_config
 from experiments.lab.recorded import check_mesh, load_truth
 from sim.errors import SimError
@@ -117,15 +116,10 @@ SCENE = make_scene(0, duration_s=10.0)
 FLIGHT = "t,x,y,z,qx,qy,qz,qw\n" + "".join(
     f"{0.1 * k:.1f},{0.1 * k:.1f},0.5,1.0,0,0,0,1\n" for k in range(40)
 )
-ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
 
 
 def text(content):
     return lambda path: path.write_text(content, encoding="utf-8")
-
-
-def use_row(path):
-    assert row_of_text(path.read_bytes()) in (None, ROW)
 
 
 # How each file is written and used; the use returns the number of points, or anything else.
@@ -142,7 +136,6 @@ OTHERS = {
         lambda path: write_truth(path, SCENE, 250),
         lambda path: load_truth(path.parent),
     ),
-    "row.json": (text(text_of_row(ROW)), use_row),
 }
 EVENTS = [name for name in FORMS if name not in BAGS]
 

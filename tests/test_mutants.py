@@ -11,7 +11,6 @@ MUTANTS = mutants()
 def test_a_mutant_can_be_made_and_has_tests(mutant):
     mutated = mutant.mutated(ROOT)
     compile(mutated, mutant.file, "exec")
-    assert (ROOT / mutant.file).read_text(encoding="utf-8").count(mutant.old) == 1
     assert mutant.old != mutant.new
     places = [one for one in mutant.arguments(ROOT) if one.startswith("tests/")]
     assert places

@@ -8,19 +8,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from experiments.lab.code import ROOT
 from experiments.lab.grid import config_names, flight_seed
-from experiments.lab.recorded import Pair
+from experiments.lab.recorded import FlightTruth, Pair
 from experiments.lab.results import csv_text
 from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import KEY, esim_tables, ordered_runs
+from sim.recording import Scene as SimScene
+from ssac.arrays import Array
+from ssac.clock import Clock
 from ssac.estimate import Estimate
-from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import OURS
 from ssac.track.observation import Observation
-from tests.recorded import KALIBR, kalibr_with_pose
-from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
+from tests.recorded import record
+from tests.ssac.synthetic import Scene, make_events, make_scene
 
 RESULTS = ROOT / "results"  # as committed
 METHODS = tuple(method.name for method in OURS)
@@ -70,16 +73,10 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
     (folder / "esim_20.provenance.json").write_text(json.dumps(PROVENANCE))
 
 
-def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
+def record_flight(folder: Path, duration_s: float = 10.0) -> None:
     """Write a recording as `sim.storage` does, without an offset."""
-    folder.mkdir(exist_ok=True)
-    scene = make_scene(seed=0, duration_s=duration_s)
-    for name, events in zip(("cam1", "cam2"), make_events(scene, 0, size_m=0.4), strict=True):
-        save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
-    (folder / "rig.yaml").write_text(KALIBR)
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene))
+    scene = record(folder, duration_s, t_d_s=0.0, has_frames=False).scene
     write_truth(folder / "truth.json", scene)
-    return scene
 
 
 def write_truth(path: Path, scene: Scene, n_times: int = 2001) -> None:
@@ -94,6 +91,16 @@ def write_truth(path: Path, scene: Scene, n_times: int = 2001) -> None:
         **{"baseline_m": 1.0, "t_d_s": 0.0, "skew_ppm": 0.0, "t_ref_s": 0.0},
     }  # fmt: skip
     path.write_text(json.dumps(truth, default=np.ndarray.tolist))
+
+
+def true_flight(scene: SimScene, times_s: Array, clock: Clock) -> FlightTruth:
+    """Return the truth of a scene as it would be read of its recording, which is not simulated."""
+    poses, cameras = scene.trajectory.poses(times_s), scene.rig.cameras
+    return FlightTruth(
+        times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(),
+        tuple(camera.project(poses[:, :3, 3]) for camera in cameras),
+        tuple(camera.T_C_W for camera in cameras), *scene.rig.extrinsics(), clock,
+    )  # fmt: skip
 
 
 DURATION_S = 6.0

@@ -70,7 +70,6 @@ FILES = {
         ("figures fig3_preprocessing fig6", "unknown figure 'fig6': expected some of fig3"),
         ("ablate windows", r"unknown ablation 'windows': use one of .*window"),
         ("ablate typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
-        ("sweep typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
         ("sweep mesh.toml", r"drone\.obj"),
         ("merge runs.txt part.csv", r"runs\.txt: the table is a CSV, and its name must end with"),
         ("sweep negative.toml", r"negative\.toml: duration_s must be a positive number"),
@@ -99,8 +98,6 @@ FILES = {
             ("--noise loud", "expected one of ideal, davis346, got 'loud'"),
             ("--effect latency=1", "expected NAME=VALUE with a name of illuminance_lux"),
             ("--effect threshold_on=0.1", "expected NAME=VALUE"),  # an option of its own
-            ("--effect refractory_s=late", "--effect refractory_s: expected a number, got 'late'"),
-            ("--gl foo --no-check", "GL backend: expected auto, osmesa or egl, got 'foo'"),
             ("--lattice 32 1", "--lattice: expected 0 to 31, got 32"),
             ("--effect latency_s=late", "--effect latency_s: expected a number, got 'late'"),
             ("--effect hot_clusters=1.5", "expected a whole number, got '1.5'"),

@@ -1,4 +1,4 @@
-from dataclasses import asdict, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -6,7 +6,6 @@ import pytest
 import trimesh
 from scipy.interpolate import make_interp_spline
 
-from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, drift_of
 from sim.recording import simulate, stream
@@ -20,31 +19,19 @@ from tests.sim.scenes import QUICK, counts, rng
 pytestmark = pytest.mark.render
 
 SKY = 128  # its code in a frame
-DIM = vars(SENSOR_PRESETS["davis346-dim"])
 
 
-@pytest.mark.parametrize("parts", [*({"sensor": one} for one in PRESETS.values()), DIM])
-def test_a_seed_is_a_recording(parts):
-    config = replace(QUICK, **parts)
-    first, again, other = (simulate(config, seed) for seed in (3, 3, 4))
-    np.testing.assert_equal(asdict(first), asdict(again))
-    pairs = zip(first.cameras, other.cameras, strict=True)
-    assert all(not np.array_equal(a.events, b.events) for a, b in pairs)
-    assert (first.truth.T_W_B != other.truth.T_W_B).any()
-    for camera in first.cameras:
-        assert len(camera.events) > 1000
-        assert np.diff(camera.events["t"]).min() >= 0
-        assert camera.events["x"].max() < 346
-        assert camera.events["y"].max() < 260
-
-
-def test_noise_differs_between_cameras_and_seeds():
+def test_flights_differ_between_seeds_and_noise_also_between_cameras():
     config = replace(QUICK, sensor=replace(PRESETS["davis346"], background_hz=1.0))
-    still = sum(counts(camera.events, (260, 346)) for camera in simulate(QUICK, 3).cameras) == 0
-    noise = [counts(camera.events, (260, 346))[still] for camera in simulate(config, 3).cameras]
-    assert noise[0].mean() > 0.5  # events a pixel in a second
+    clean, noisy = ([simulate(one, seed) for seed in (3, 4)] for one in (QUICK, config))
+    assert (clean[0].truth.T_W_B != clean[1].truth.T_W_B).any()
+    of_cameras = [camera for recording in clean for camera in recording.cameras]
+    still = sum(counts(camera.events, (260, 346)) for camera in of_cameras) == 0
+    of_cameras = [camera for recording in noisy for camera in recording.cameras]
+    noise = [counts(camera.events, (260, 346))[still] for camera in of_cameras]
+    assert min(map(np.mean, noise)) > 0.5  # events a pixel in a second
     # Independent: no correlation beyond chance.
-    assert abs(np.corrcoef(noise[0], noise[1])[0, 1]) < 5 / still.sum() ** 0.5
+    assert np.abs(np.corrcoef(noise) - np.eye(4)).max() < 5 / still.sum() ** 0.5
 
 
 def test_events_and_frames_show_the_drone_where_it_was():

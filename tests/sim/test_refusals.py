@@ -74,7 +74,6 @@ CASES = [
       for config, name in NUMBERS for value in (-0.1, NAN, INF)),
     *((partial(config, **{name: value}), f"{name} must be (0 or )?a positive number, got {value}")
       for config, names in POSITIVE.items() for name in names for value in (0.0, NAN)),
-    # Sensor and frames.
     (lambda: SensorConfig(hot_pixel_share=1.5), "hot_pixel_share is a share of 1"),
     *((lambda e=e: FrameConfig(50.0, e), r"at most 1 / rate_hz = 0\.02 s")
       for e in (0, 0.021, NAN)),
@@ -84,24 +83,20 @@ CASES = [
       for t in ([0, 2, 1], [0, 1, 1], [0, NAN, 2], [0, 1, INF])),
     *((lambda v=v, k=k: events_from_frames(grey_with(v, GREY.shape, (k, 1, 2)), STEADY),
        r"linear intensities in \[0, 1\]") for v in (-0.01, 1.01, NAN, INF) for k in (0, 2)),
-    # Effects.
     (lambda: SensorEffects(cutoff_min_hz=9e3), "cutoff_min_hz must be at most cutoff_max_hz"),
     (lambda: SensorEffects(flicker_depth=1.0), "flicker_depth must be less than 1"),
     (lambda: SensorEffects(frame_phase_spread=1.5), "frame_phase_spread is a share"),
     (lambda: SensorEffects(readout_queue=0), "readout_queue must be 1 or more"),
     (lambda: SimConfig(frames=FrameConfig(25.0), effects=SensorEffects(frame_gap_s=0.04)),
      r"frame_gap_s must be less than 1 / rate_hz .* 0.04 s"),
-    # Clutter.
     (lambda: DisturbConfig(second_object=1.5), "second_object is a share, 0 to 1, got 1.5"),
     (lambda: DisturbConfig(intrinsics_error=(11.0, 0.0)), "intrinsics_error needs 0 to 10 %"),
-    # Clocks.
     (lambda: drift_of(NAN, None, 10.0), "clock skew: expected"),
     (lambda: drift_of(2e5, None, 10.0), "got 200000"),
     (lambda: drift_of(0.0, (0.0, 0.1), 10.0), "within the flight, 0 to 10 s"),
     (lambda: drift_of(0.0, (10.0, 0.1), 10.0), "got 10"),
     (lambda: drift_of(0.0, (5.0, -0.02), 10.0), "above 0 s, got -0.02: stamps of a clock that is"),
     (lambda: drift_of(0.0, (5.0, NAN), 10.0), "above 0 s"),
-    # Drones.
     *((lambda n=n, s=s: built_in_drone(n, s), "size must be a positive number of metres")
       for n in ("quadrotor", "two-tone", "bird", "plane") for s in (0.0, -1.0, NAN)),
     (lambda: printed(-1.0), "size must be a positive number of metres, got -1"),
@@ -111,7 +106,6 @@ CASES = [
     *((lambda n=n: built_in_drone(n, rotor_hz=20.0),
        rf"on the built-in quadrotors only \(quadrotor, two-tone\), not on a {n}")
       for n in ("bird", "plane")),
-    # Paths.
     (lambda: SplineConfig(order=2), "order must be at least 3, got 2"),
     (lambda: SplineConfig(duration_s=0.2), "fewer than 2 poses"),
     (lambda: SplineConfig(multiplier_xyz_m=(1.0, NAN, 1.0)), "multiplier_xyz_m must be three fini"),
@@ -119,7 +113,6 @@ CASES = [
      r"all went more than 0\.1 m away.*lower multiplier_xyz_m"),
     *((lambda t=t: random_spline(SplineConfig(6.0), rng()).poses(np.array([1.0, t])),
        "defined from 0 to 6 s") for t in (-1e-6, 6.000001, NAN)),
-    # Cameras.
     *((lambda a=a: two_view_rig(a), "must be between 0 and 180 deg, exclusive")
       for a in (0.0, 180.0, -30.0, 270.0, NAN)),
     (lambda: two_view_rig(90.0, t_d_s=NAN), "time offset must be a finite number of seconds"),
@@ -139,7 +132,6 @@ CASES = [
      "fold the image back on itself"),
     *((lambda v=v: uniform_background(make_camera(), v), "background luminance: expected 0 to 1")
       for v in (-0.01, 1.01, NAN)),
-    # Pictures.
     *((lambda a=a, b=b: Lattice(a, b), "expected 1 <= a <= 31 and b = 0 or 1")
       for a, b in ((0, 0), (32, 0), (8, 2), (8, -1))),
     (lambda: RenderConfig(renderer="blender"), "'blender': use one of native, pyrender"),
@@ -150,7 +142,6 @@ CASES = [
       for d in ((0.0, 0.0, 0.0), (NAN, 0.0, 1.0))),
     *((lambda b=b: open_context(b), "GL backend: expected auto, osmesa or egl, got")
       for b in ("", "OSMESA", "wayland")),
-    # The bench.
     (lambda: TwinConfig(distances_m=(0.5, -0.1)), "distances_m must be two positive numbers"),
     (lambda: TwinConfig(distortion_model="equidistant", distortion_coeffs=(0.0,) * 4),
      "lenses of the model radtan or none, got equidistant"),
@@ -161,7 +152,6 @@ CASES = [
     (lambda: CalibrationConfig(n_views=2), "a board of 3 x 3 corners or more and 3 views or more"),
     (lambda: calibrated_camera(BENCH.cameras[0], CalibrationConfig(square_m=0.5), rng()),
      "too few are in view of cam1: take a smaller one"),
-    # Recordings.
     *((lambda c=c: simulate(replace(QUICK, **c), 1), text) for c, text in (
         ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
         ({"drone_file": Path("missing.stl"), "drone_size_m": 0.0}, "number of metres, got 0"),

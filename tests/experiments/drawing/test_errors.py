@@ -196,9 +196,6 @@ def test_three_numbers_at_least_are_on_a_logarithmic_axis(reach: tuple[float, fl
     assert np.count_nonzero((ticks >= reach[0]) & (ticks <= reach[1])) >= 3
 
 
-# --- Ablations ---
-
-
 def of_ablation(name: str) -> tuple[pd.DataFrame, GridConfig]:
     return Results(RESULTS).table(f"ablation_{name}_runs"), named_config(f"ablation_{name}")
 

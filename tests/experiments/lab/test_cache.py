@@ -3,6 +3,8 @@
 import os
 import re
 import shutil
+import socket
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 from experiments.lab import cache as module
 from experiments.lab import grid
-from experiments.lab.cache import ASIDE, Cache, recording_key, run_key
+from experiments.lab.cache import ASIDE, Cache, claimed, recording_key, remove_lapsed, run_key
 from experiments.lab.code import ROOT
 from experiments.lab.grid import Cell
 from sim.errors import SimError
@@ -23,6 +25,7 @@ from ssac.errors import SsacError, WriteError
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import METHODS
 from tests.experiments.lab.squares import flipped
+from tests.left_over import ended_process
 from tests.recorded import empty_events
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
@@ -149,7 +152,9 @@ def test_no_flipped_bit_of_a_row_goes_unseen():
     text = module.text_of_row(ROW).encode()
     assert module.row_of_text(text) == ROW
     for at in range(len(text)):
-        assert module.row_of_text(flipped(text, at)) in (None, ROW)  # 1e0 and 1E0 are one number
+        for bit in range(8):
+            read = module.row_of_text(flipped(text, at, bit))
+            assert read in (None, ROW)  # 1e0 and 1E0 are one number
         assert module.row_of_text(text[:at]) is None
 
 
@@ -209,3 +214,49 @@ def test_an_entry_that_cannot_be_moved_is_one_error(folder, tmp_path):
     (tmp_path / ASIDE).write_text("a file in the folder's place")
     with pytest.raises(SsacError, match="is damaged and cannot be moved aside"):
         Cache(tmp_path).recording_folder(SimConfig(), 0)
+
+
+@pytest.fixture
+def lock(tmp_path):
+    return tmp_path / "claims" / ".abc.claim"
+
+
+def left_by(lock, old, new):
+    """Write the lock of another process: ours, with `old` replaced by `new`; return its text."""
+    with claimed(lock):
+        mine = lock.read_text()
+    assert mine.count(old) == 1
+    lock.write_text(mine.replace(old, new))
+    return lock.read_text()
+
+
+def test_what_a_killed_process_held_is_free_at_once(lock):
+    kept = lock.with_name(".kept.claim")
+    left = left_by(lock, f"pid={os.getpid()}\n", f"pid={ended_process()}\n")
+    with claimed(lock) as is_ours:
+        assert is_ours
+    # Locks that nobody asks for again are removed, also the empty one of a process killed early.
+    for text in (left, ""):
+        lock.write_text(text)
+        with claimed(kept):
+            remove_lapsed(lock.parent)
+            assert list(lock.parent.iterdir()) == [kept]
+
+
+def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(lock, monkeypatch):
+    now_s = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    text = left_by(lock, socket.gethostname(), "elsewhere")  # its process id is in use here
+
+    def is_free_after(share):
+        nonlocal now_s
+        now_s += share * module.LAPSES_S
+        with claimed(lock) as is_ours:
+            return is_ours
+
+    assert not is_free_after(0.0)
+    assert not is_free_after(0.9)
+    assert lock.read_text() == text
+    os.utime(lock)  # a sign of life
+    assert [is_free_after(share) for share in (0.9, 0.9, 0.2)] == [False, False, True]
+    assert list(lock.parent.iterdir()) == []

@@ -16,24 +16,11 @@ from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.command import command_of, finish, on_screen
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Made, Runs, merge
-from experiments.scenes.options import changed
-from experiments.studies import tables
-from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.cli.options import number
 from ssac.errors import SsacError
 from tests.experiments.command import run
 from tests.experiments.lab.squares import SQUARES, SquareRow, load_nothing, process_row
-
-
-@pytest.mark.parametrize("renderer", RENDERERS)
-@pytest.mark.parametrize("check", [True, False])
-def test_the_renderer_changes_what_draws_and_nothing_else(renderer, check):
-    default = {"sim.render.renderer": RENDERERS[0], "sim.render.check": True}
-    for after, before in zip(tables.cells(renderer, check), tables.cells(), strict=True):
-        assert (after.sim.render.renderer, after.sim.render.check) == (renderer, check)
-        assert changed(after, default) == before
-
 
 NOT_SIMULATED = "recording: SimError: a.obj has no faces"
 THEIRS, OURS = "mine: PluginError: p 1.0", "ssac: KeyError: 3"

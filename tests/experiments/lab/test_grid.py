@@ -54,8 +54,7 @@ def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
     """So offsets, methods and values of a parameter are compared on the same flights."""
     cells = grid_from_content("small", SMALL).cells()
     assert len(cells) == 2 * 2 * 2 * 2
-    assert all(cell.sim.t_d_s == 0.0 for cell in cells)
-    assert len({cell.sim for cell in cells}) == 2
+    assert len({cell.sim for cell in cells}) == 2  # of two angles
     first = cells[0]
     assert (first.method, first.flight, first.t_d_s) == ("ssac", 0, 0.005)
     parameters = {"sim.spline.duration_s": 10, "sim.angle_deg": 30, "sim.t_d_s": 0.005}

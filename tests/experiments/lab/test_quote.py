@@ -36,16 +36,11 @@ NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _tabl
 
 
 @pytest.fixture
-def root(tmp_path):
-    """Return a small project: one page, one file of results."""
-    for name, text in (
-        ("README.md", PAGE),
-        ("docs/a.md", ""),
-        ("results/squares.csv", "half,sum\nlow,29\nhigh,110\n"),
-        ("results/squares.provenance.json", '{"wall_time_s": 90.0}'),
-    ):
-        save_text(tmp_path / name, text)
-    return tmp_path
+def root(results):
+    """A small project: two pages, and the results of one study."""
+    save_text(results.parent / "README.md", PAGE)
+    save_text(results.parent / "docs" / "a.md", "")
+    return results.parent
 
 
 def test_numbers_are_written_once_and_then_stay_until_a_result_changes(root, monkeypatch):
@@ -92,7 +87,7 @@ def test_a_gap_in_the_results_names_the_number(root, old, new, said):
 def test_an_unknown_name_is_stale_and_a_comment_that_is_not_closed_an_error(root):
     rewrite_numbers(root, NUMBERS)
     page, names = root / "docs" / "a.md", ("minutes.squares", "minutes.cubes", "no.such")
-    page.write_text(" ".join(f"<!--n:{name}-->1.5<!--/n-->" for name in names))
+    page.write_text(" ".join(f"<!--n:{name}-->0.0<!--/n-->" for name in names))
     for stale, name in zip(stale_numbers(root, NUMBERS), names[1:], strict=True):
         assert f"{name}: no such number" in stale
     for text in ("<!--n:a-->1\n\n<!--n:b-->2<!--/n-->\n", "`<!--n:a-->`\n\n<!--n:b-->2\n"):

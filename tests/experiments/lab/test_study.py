@@ -88,9 +88,6 @@ def study(*arguments):
     return command("study", *arguments, "--workers", 1)
 
 
-# --- Files ---
-
-
 def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path):
     study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     names = {path.name for path in tmp_path.iterdir() if path.is_file()}
@@ -169,9 +166,6 @@ def test_gaps_in_the_runs_are_found(tmp_path):
             check_runs(STUDY, damaged, CELLS)
 
 
-# --- What is done, and what is left ---
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), WriteError("the disk is full")])
 def test_what_is_done_is_not_done_again_and_a_stopped_study_goes_on(tmp_path, capsys, error):
     FAULTS["number 2"] = error
@@ -215,9 +209,6 @@ def test_what_a_method_refuses_is_kept_and_a_full_disk_stops_the_study(tmp_path)
     assert list(run(tmp_path).runs["status"]) == ["unusable", *["ok"] * 7]
 
 
-# --- Other runs on the same recordings, and workers that die ---
-
-
 @pytest.mark.parametrize("finishes", [True, False])
 def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
     tmp_path, monkeypatch, capsys, finishes
@@ -244,31 +235,23 @@ def test_what_another_run_is_on_comes_last_and_is_done_once_by_it_or_here(
 
 
 class Mortal(Pool):
-    """A pool of two that runs its jobs in this process; its workers die as `deaths` says."""
+    """A pool of two that runs its jobs in this process; the recording of 2 kills its workers."""
 
     room = 2
 
-    def __init__(self, deaths):
-        self.deaths = dict(deaths)  # how often the recording of a number kills its worker
-        self.given = []
-
     def submit(self, job):
-        number = job.args[0][0].number
-        self.given.append(number)
-        if not self.deaths.get(number, 0):
+        if job.args[0][0].number != 2:
             return super().submit(job)
-        self.deaths[number] -= 1
         future: Future[Any] = Future()
         future.set_exception(DiedError("ended by SIGKILL"))
         return future
 
 
 def test_a_task_that_kills_its_workers_is_a_crash_and_others_go_on(tmp_path, monkeypatch, capsys):
-    pool = Mortal({2: 100})
     with monkeypatch.context() as with_deaths:
-        with_deaths.setattr(schedule, "_pool", lambda *_: pool)
+        with_deaths.setattr(schedule, "_pool", lambda *_: Mortal())
         outcome = run(tmp_path)
-    assert pool.given.count(2) == MAX_DEATHS == outcome.n_deaths
+    assert outcome.n_deaths == MAX_DEATHS
     reason = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
     ended = {
         (*row,) for row in outcome.runs[["number", "status", "reason"]].itertuples(index=False)

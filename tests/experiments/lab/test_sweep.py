@@ -114,9 +114,6 @@ def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder,
     assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
 
 
-# --- Workers, hosts and whole sweeps that die or are stopped ---
-
-
 def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, config, whole):
     cache, outs = folder / "cache_shared", (folder / "one.csv", folder / "other.csv")
     other = started(folder, config, outs[0], cache, "--workers", "1")
@@ -169,9 +166,6 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
     sweep(config, out, cache, "--workers", "1")
     assert out.read_bytes() == whole.read_bytes()
     assert not list(cache.rglob(".*"))
-
-
-# --- Dask ---
 
 
 def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end_is_one_line(

@@ -57,15 +57,6 @@ def test_renderers_and_methods_are_timed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert all(row.value > 0.0 for row in rows)
 
 
-def test_a_short_run_leaves_the_largest_points_out() -> None:
-    short, full = bench.growth_cells("short"), bench.growth_cells("full")
-    assert bench.growth_cells() == short
-    assert {one.point for one in short} < {one.point for one in full}
-    assert {one.point.sensor for one in short} == {"346 x 260", "1280 x 720"}
-    assert [one.point.duration_s for one in full[::2]] == 2 * [5.0, 20.0, 60.0, 120.0]
-    assert len({tuple(cell.columns.values()) for cell in full}) == len(full) == 16
-
-
 def test_what_is_linear_meets_the_marks_and_what_is_not_misses_them() -> None:
     name = "growth, 1280 x 720: synchronise, {} over events"
     linear = {row.name: row for row in growth_rows(made_up_growth())}

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import binomtest
 
 from experiments.drawing.errors import pooled
 from experiments.studies import coverage, efficiency
@@ -88,11 +89,9 @@ def test_a_refused_run_is_counted_and_covers_nothing() -> None:
 
 
 def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> None:
-    # The closed form for none inside is (1 - share)^n = 0.025; that for all inside mirrors it.
-    bounds = coverage.sampling_bounds
-    assert bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
-    assert bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
-    assert bounds(475, 500) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
+    for n_inside, n in ((0, 20), (20, 20), (475, 500)):
+        interval = binomtest(n_inside, n).proportion_ci(coverage.SAMPLING)
+        assert coverage.sampling_bounds(n_inside, n) == pytest.approx(tuple(interval))
     for parameters, limit in ((1, 1.96), (1, -1.96), (2, 2.4477), (3, 2.7955)):
         assert coverage.confidence(np.array([limit]), parameters) == pytest.approx(0.95, abs=1e-4)
 

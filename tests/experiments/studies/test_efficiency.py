@@ -1,8 +1,9 @@
 """Cramer-Rao bounds: of a true track, compared with least squares, and of whole recordings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from experiments.studies import efficiency
 from experiments.studies.efficiency import SAMPLES, Bound, BoundCell, method_bound
 from sim.recording import SimConfig
 from ssac.arrays import Array
-from ssac.camera import Rig
 from ssac.config import Config
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, solve
 from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
@@ -23,107 +23,89 @@ from ssac.search.two_views import TwoViews
 from tests.ssac import synthetic
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
 
-NOISE_PX = 0.3
 TRIALS = 300
 WITHIN = 3.0 / np.sqrt(2.0 * TRIALS)  # three standard errors of an RMS of so many errors
 STEP_S = 1e-4  # of differences, whose error grows with its square
 LEAST_SQUARES = 1e6  # Cauchy's loss is quadratic up to there
 
 
-@dataclass(frozen=True)
-class Flight:
-    """The true track of a scene, as far as both cameras see it."""
-
-    p1: Array
-    p2: Array
-    v1: Array
-    v2: Array
-    R: Array
-    t: Array
-    rig: Rig
-
-    def information(self, noise_px: float | Array = NOISE_PX) -> Array:
-        of_pose = self.R, self.t, self.rig
-        return efficiency.fisher_information(self.p1, self.p2, self.v2, *of_pose, noise_px)
-
-    @property
-    def bound(self) -> Bound:
-        return efficiency.cramer_rao_bound(self.information())
-
-
 def rate_of(place: Callable[[Array], Array], times_s: Array) -> Array:
     return (place(times_s + STEP_S) - place(times_s - STEP_S)) / (2.0 * STEP_S)
 
 
-def fly(scene: Scene) -> Flight:
+def fly(scene: Scene) -> dict[str, Any]:
+    """Return what `fisher_information` asks for, of a true track where both cameras see it."""
     times_s = scene.duration_s * (np.arange(400) + 0.5) / 400
     p1, p2 = track_pair(scene, times_s)
-    v1, v2 = rate_of(lambda at_s: np.array(track_pair(scene, at_s)), times_s)
+    v2 = rate_of(lambda at_s: track_pair(scene, at_s)[1], times_s)
     seen = np.all((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT]), axis=1)
-    t = scene.t / np.linalg.norm(scene.t)
-    return Flight(p1[seen], p2[seen], v1[seen], v2[seen], scene.R, t, scene.unknown_rig)
+    of_scene = {"R": scene.R, "t": scene.t / np.linalg.norm(scene.t), "rig": scene.unknown_rig}
+    return {"p1_px": p1[seen], "p2_px": p2[seen], "v2_px_s": v2[seen], "noise_px": 0.3} | of_scene
 
 
-@pytest.fixture(scope="module")
-def flight() -> Flight:
-    return fly(make_scene(seed=3))
+def information(flight: dict[str, Any], **changes: Any) -> Array:
+    return efficiency.fisher_information(**flight | changes)
 
 
-def errors_with_noise(flight: Flight, noises_px: Array, pose_is_known: bool) -> Array:
+def bound_of(flight: dict[str, Any], **changes: Any) -> Bound:
+    return efficiency.cramer_rao_bound(information(flight, **changes))
+
+
+FLOWN = make_scene(seed=3)
+FLIGHT = fly(FLOWN)
+
+
+def errors_with_noise(noises_px: Array, pose_is_known: bool) -> Array:
     """Errors (TRIALS, 3) of t_d [s] and of the angles [rad] of R and t, by least squares."""
     rng, errors = np.random.default_rng(0), []
-    truth = Parameters(0.0, flight.R, flight.t)
-    times, weights = np.arange(len(flight.p1), dtype=np.float64), 1.0 / noises_px
+    R, t, true_px = FLIGHT["R"], FLIGHT["t"], np.array([FLIGHT["p1_px"], FLIGHT["p2_px"]])
+    times, weights = np.arange(len(noises_px), dtype=np.float64), 1.0 / noises_px
     for _ in range(TRIALS):
-        p1, p2 = noises_px[:, None] * rng.standard_normal((2, *flight.p1.shape))
-        pairs = WeighedPairs(times, flight.p1 + p1, flight.p2 + p2, flight.v2, weights, 0.0)
-        problem = Problem(pairs, flight.rig, FitRules(), pose_is_known, turn=LEAST_SQUARES)
-        found = solve(problem, truth).parameters
-        turn_deg = synthetic.rotation_angle_deg(found.R, flight.R)
-        angles_deg = turn_deg, synthetic.angle_deg(found.t, flight.t)
+        p1, p2 = true_px + noises_px[:, None] * rng.standard_normal(true_px.shape)
+        pairs = WeighedPairs(times, p1, p2, FLIGHT["v2_px_s"], weights, 0.0)
+        problem = Problem(pairs, FLIGHT["rig"], FitRules(), pose_is_known, turn=LEAST_SQUARES)
+        found = solve(problem, Parameters(0.0, R, t)).parameters
+        angles_deg = synthetic.rotation_angle_deg(found.R, R), synthetic.angle_deg(found.t, t)
         errors.append([found.t_d_s, *np.deg2rad(angles_deg)])
     return np.array(errors)
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.3, 3.0)])  # equal, or known by weights
 @pytest.mark.parametrize("pose_is_known", [False, True])
-def test_least_squares_reach_the_bound(flight, low, high, pose_is_known) -> None:
-    noises_px = NOISE_PX * np.random.default_rng(1).uniform(low, high, len(flight.p1))
-    bound_of = efficiency.known_pose_bound if pose_is_known else efficiency.cramer_rao_bound
-    least = bound_of(flight.information(noises_px))
-    errors = errors_with_noise(flight, noises_px, pose_is_known)
+def test_least_squares_reach_the_bound(low, high, pose_is_known) -> None:
+    noises_px = 0.3 * np.random.default_rng(1).uniform(low, high, len(FLIGHT["p1_px"]))
+    bound = efficiency.known_pose_bound if pose_is_known else efficiency.cramer_rao_bound
+    least = bound(information(FLIGHT, noise_px=noises_px))
+    errors = errors_with_noise(noises_px, pose_is_known)
     found = np.sqrt(np.mean(errors**2, axis=0))[: 1 if pose_is_known else 3]
     assert found == pytest.approx([least.t_d_s, least.R_rad, least.t_rad][: len(found)], rel=WITHIN)
-    if pose_is_known:
-        assert np.isnan([least.R_rad, least.t_rad]).all()
+    assert np.isnan([least.R_rad, least.t_rad]).all() == pose_is_known
 
 
-def test_the_bound_follows_the_speed_and_not_the_order_of_cameras(flight: Flight) -> None:
-    usual = flight.bound
-    faster = replace(flight, v2=2.0 * flight.v2).bound
+def test_the_bound_follows_the_speed_and_not_the_order_of_cameras() -> None:
+    usual, faster = bound_of(FLIGHT), bound_of(FLIGHT, v2_px_s=2.0 * FLIGHT["v2_px_s"])
     assert (faster.t_d_s, faster.R_rad) == pytest.approx((0.5 * usual.t_d_s, usual.R_rad))
-    R, t = flight.R.T, -flight.R.T @ flight.t
-    swapped = Flight(flight.p2, flight.p1, flight.v2, flight.v1, R, t, flight.rig).bound
+    R, t = FLOWN.R, FLOWN.t
+    swapped = bound_of(fly(Scene(R.T, -R.T @ t, lambda at_s: FLOWN.path(at_s) @ R.T + t, 20.0)))
     # 1e-5 as velocities are differences. t is another vector, whose error includes some of R's.
     assert (swapped.t_d_s, swapped.R_rad) == pytest.approx((usual.t_d_s, usual.R_rad), rel=1e-5)
 
 
-def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
-    few = replace(flight, p1=flight.p1[:5], p2=flight.p2[:5], v2=flight.v2[:5])
-    assert few.bound.t_d_s == np.inf
-    assert np.isfinite(efficiency.known_pose_bound(few.information()).t_d_s)
-    still = replace(flight, v2=0.0 * flight.v2)
-    assert efficiency.known_pose_bound(still.information()).t_d_s == np.inf
+def test_what_the_motion_does_not_tell_has_no_bound() -> None:
+    few = {name: FLIGHT[name][:5] for name in ("p1_px", "p2_px", "v2_px_s")}
+    assert bound_of(FLIGHT, **few).t_d_s == np.inf
+    assert np.isfinite(efficiency.known_pose_bound(information(FLIGHT, **few)).t_d_s)
+    still = information(FLIGHT, v2_px_s=0.0 * FLIGHT["v2_px_s"])
+    assert efficiency.known_pose_bound(still).t_d_s == np.inf
 
     def circle(times_s: Array) -> Array:
         """Uniform motion on a circle: a delay is the same as a rotation about the axis."""
         angle = 2.0 * times_s
         return np.column_stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle) + 5.0])
 
-    scene = make_scene(seed=0)
-    turning = Scene(scene.R, scene.t, circle, 20.0)
     # It would be infinite if velocities were exact: as differences, they err by 1e-8.
-    assert fly(turning).bound.t_d_s > 1e3 * fly(scene).bound.t_d_s
+    turning = fly(Scene(FLOWN.R, FLOWN.t, circle, 20.0))
+    assert bound_of(turning).t_d_s > 1e3 * bound_of(FLIGHT).t_d_s
 
 
 TIMES_S = np.linspace(0.5, 9.5, 181)

@@ -1,34 +1,20 @@
 """Networks of cameras: their flights and tracks, and the errors of their solutions."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
 from experiments.studies import network
 from experiments.studies.network import GrowthCell
-from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
 from ssac.clock import Clock
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track
 from ssac.network.tum import Path as SpacePath
-
-
-def truth_of(times_s: np.ndarray, positions_m: np.ndarray, turns: Rotation) -> FlightTruth:
-    none = np.zeros(3)
-    return FlightTruth(times_s, positions_m, turns.as_quat(), (), (), np.eye(3), none, 1.0, Clock())
-
-
-def test_the_first_two_cameras_are_those_of_two_cameras() -> None:
-    four, two = network.FOUR_CAMERAS, SimConfig(angle_deg=network.ANGLE_DEG)
-    for camera, other in zip(*(one.scene(0).rig.cameras for one in (four, two)), strict=False):
-        np.testing.assert_allclose(camera.T_C_W, other.T_C_W, atol=1e-12)  # rounding
-    assert recording_key(four, 0) != recording_key(two, 0)
+from tests.experiments.reported import true_flight
 
 
 def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None:
@@ -36,11 +22,7 @@ def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None
     scene = config.scene(5)
     (tmp_path / "rig.yaml").write_text(kalibr_yaml(scene.rig, with_extrinsics=False))
     times_s = np.arange(0.0, config.spline.duration_s, 0.005)
-    poses = scene.trajectory.poses(times_s)
-    truth = truth_of(times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]))
-    centres_px = tuple(camera.project(poses[:, :3, 3]) for camera in scene.rig.cameras)
-    T_C_W = tuple(camera.T_C_W for camera in scene.rig.cameras)
-    flown = network.Flown(tmp_path, replace(truth, centres_px=centres_px, T_C_W=T_C_W))
+    flown = network.Flown(tmp_path, true_flight(scene, times_s, Clock()))
     cells = [cell for cell in network.cells(1) if cell.kind == network.TRUE_TRACKS]
     first, *others = (network.camera_row(cell, flown) for cell in cells)
     assert len(flown.found) == 1  # cells of a kind share one solution
@@ -60,11 +42,11 @@ def test_true_tracks_are_solved_and_errors_are_as_stated(tmp_path: Path) -> None
 
 
 def test_a_path_of_another_point_of_the_body_is_off_by_its_lever_arm_alone() -> None:
-    rng = np.random.default_rng(0)
-    times_s = np.arange(0.0, 4.0, 0.01)
+    rng, times_s = np.random.default_rng(0), np.arange(0.0, 4.0, 0.01)
     true_m = np.column_stack([np.sin(times_s), np.cos(1.7 * times_s), np.sin(2.3 * times_s)])
     turns = Rotation.from_euler("zy", np.column_stack([2.0 * times_s, np.sin(3.0 * times_s)]))
-    truth = truth_of(times_s, true_m, turns)
+    unused = (), (), np.eye(3), np.zeros(3), 1.0, Clock()
+    truth = FlightTruth(times_s, true_m, turns.as_quat(), *unused)
     frame, arm_m = Rotation.from_rotvec(rng.normal(size=3)), np.array([0.02, -0.01, 0.03])
     seen = frame.apply(true_m + turns.apply(arm_m)) / 3.0 + [1.0, 2.0, 3.0]
     # The alternating rounds converge linearly.

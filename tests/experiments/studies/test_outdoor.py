@@ -10,10 +10,9 @@ from experiments.lab.recorded import FlightTruth
 from experiments.lab.results import Results
 from experiments.studies import outdoor
 from experiments.studies.outdoor import KINDS, OutdoorCell
-from sim.scene.rig import Rig, two_view_rig
-from sim.scene.trajectory import random_spline
 from ssac.clock import Clock
 from tests.experiments.command import run
+from tests.experiments.reported import true_flight
 
 (STUDY,) = outdoor.STUDIES
 
@@ -46,41 +45,20 @@ def test_a_short_flight_gives_both_tables(tmp_path: Path) -> None:
     assert (tmp_path / "outdoor.png").exists() == is_drawn
 
 
-def test_options_are_those_of_the_cells() -> None:
-    cells = outdoor.cells(flights=2, duration=30.0, third=False)
-    assert [cell.kind for cell in cells] == [*KINDS[:-1]] * 2
-    assert {cell.config.spline.duration_s for cell in cells} == {30.0}
-    with_third = [cell for cell in outdoor.cells(1) if len(cell.recordings) == 2]
-    assert [cell.kind for cell in with_third] == ["three_cameras"]
-
-
 DURATION_S = 60.0
 CONFIG = outdoor.outdoor_config(DURATION_S)
-
-
-def outdoor_rig() -> Rig:
-    names = ("distance_m", "focal_px", "resolution", "principal_point")
-    return two_view_rig(CONFIG.angle_deg, **{name: getattr(CONFIG, name) for name in names})
+SCENE = CONFIG.scene(3)
 
 
 @pytest.fixture(scope="module")
 def truth() -> FlightTruth:
-    """The true path of a flight, which needs no rendering."""
-    rig = outdoor_rig()
     times_s = np.linspace(0.0, DURATION_S, 200 * 60 + 1)
-    poses = random_spline(CONFIG.spline, np.random.default_rng(3)).poses(times_s)
-    return FlightTruth(
-        times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(),
-        tuple(camera.project(poses[:, :3, 3]) for camera in rig.cameras),
-        tuple(camera.T_C_W for camera in rig.cameras), *rig.extrinsics(),
-        Clock(outdoor.T_D_S, outdoor.SKEW_PPM, DURATION_S / 2.0),
-    )  # fmt: skip
+    return true_flight(SCENE, times_s, Clock(outdoor.T_D_S, outdoor.SKEW_PPM, DURATION_S / 2.0))
 
 
 def test_the_set_up_is_the_papers(truth: FlightTruth) -> None:
-    rig = outdoor_rig()
-    assert rig.extrinsics()[2] == pytest.approx(outdoor.BASELINE_M)
-    for camera in rig.cameras:
+    assert truth.baseline_m == pytest.approx(outdoor.BASELINE_M)
+    for camera in SCENE.rig.cameras:
         centre = np.linalg.inv(camera.T_C_W)[:3, 3]
         distances_m = np.linalg.norm(truth.positions_m - centre, axis=1)
         # 15 to 60 m, but for the tails of a random flight.

@@ -57,9 +57,6 @@ def drawn(drone, camera, times_s, T_W_B, background, config):
         return whole_images(crops, times_s, background)
 
 
-# --- One instant, one picture ------------------------------------------------------------------
-
-
 @each_renderer
 @pytest.mark.parametrize("lens", ["none", "radtan"])
 def test_batches_do_not_show(lens, renderer, monkeypatch):
@@ -101,9 +98,6 @@ def test_memory_stays_flat(renderer):
             resident_mb.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
     # 20,000 poses after the first round; the allocator may keep the odd megabyte.
     assert resident_mb[-1] - resident_mb[0] < 4.0
-
-
-# --- Where the drone is ------------------------------------------------------------------------
 
 
 @each_renderer
@@ -167,9 +161,6 @@ def test_the_silhouette_is_all_that_the_hulls_of_its_pieces_cover(drone, a, rend
         assert np.abs(image - shares).sum() * a**2 <= 2 + 1e-4 * covered.sum()
 
 
-# --- Light -------------------------------------------------------------------------------------
-
-
 @each_renderer
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize(
@@ -189,9 +180,6 @@ def test_lambert(lens, light_W, lambert, renderer):
     face = image[120:141, 163:184]  # the one that the camera looks at squarely
     # Codes are 1/65535 apart.
     np.testing.assert_allclose(face, 0.4 * (0.3 + 0.7 * lambert), atol=1e-5)
-
-
-# --- Against OpenGL, a whole frame at a time ----------------------------------------------------
 
 
 IN_VIEW = tumbling(12, 3, (0.0, -1.0, 0.0), (1.5, 2.0, 1.0))
@@ -294,9 +282,6 @@ def test_what_does_not_load_is_named(backend, pyrender, said, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrender.offscreen", pyrender)
     with pytest.raises(SimError, match=said):
         _open.__wrapped__(backend)
-
-
-# --- The native renderer ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

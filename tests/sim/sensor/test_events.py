@@ -76,9 +76,6 @@ def assert_poisson(count, expected):
     assert abs(count - expected) < 5.0 * expected**0.5  # five standard deviations, fixed seed
 
 
-# --- Thresholds ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("config", [
     *(replace(config, threshold_on=on, threshold_off=off)
       for config in (IDEAL, SLOW) for on, off in ((0.25, 0.25), (0.01, 0.03))),
@@ -172,9 +169,6 @@ def test_videos_of_any_type_and_layout():
         np.testing.assert_array_equal(events_from_frames(codes, times_s), of_light)
 
 
-# --- In parts -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_crops_give_the_events_of_whole_frames(name):
     """A square stands before a textured wall at the start, leaves, and comes back elsewhere."""
@@ -223,9 +217,6 @@ def test_events_are_in_order_and_may_be_taken_as_they_settle(name, step_s):
     np.testing.assert_array_equal(np.concatenate(taken), whole)
     left_for_the_end = len(taken[-1]) / len(whole)
     assert (left_for_the_end < 0.2) == config.is_ideal_in_time
-
-
-# --- Noise, leaks, hot pixels and dead times ---------------------------------------------------
 
 
 @pytest.mark.parametrize("light", [0.0, 0.5, 0.999])
@@ -365,9 +356,6 @@ def test_no_two_events_of_a_pixel_within_the_dead_time(config, effects):
     assert len(gaps) > 1000
     # Whole microseconds: rounding two times that are the dead time apart keeps the difference.
     assert gaps.min() >= round(config.refractory_s * 1e6)
-
-
-# --- Photoreceptor, latency and flicker ---------------------------------------------------------
 
 
 @pytest.mark.parametrize(

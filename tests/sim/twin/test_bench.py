@@ -12,7 +12,7 @@ from sim.render.config import RenderConfig
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
-from sim.twin.bench import TwinConfig, bench_rig, hanging_of, printed, wall
+from sim.twin.bench import TwinConfig, bench_rig, hanging_of, wall
 from sim.twin.calibration import CalibrationConfig, calibrated_camera, calibrated_pose, exact
 from sim.twin.pendulum import GRAVITY_M_S2, PendulumConfig, hanging, swing
 from sim.twin.room import RoomConfig, room_events, wire_columns, wire_contrast
@@ -98,13 +98,6 @@ def test_each_pixel_that_the_wire_passes_may_fire_off_then_on():
     thin, thick = (wire_contrast(RoomConfig(wire_m=m), camera, 0.5) for m in (2e-4, 4e-4))
     # The contrast is log(1 - x): a wire twice as thick has a little more than twice the contrast.
     assert thick / thin == pytest.approx(2.0, rel=0.1)
-
-
-def test_the_model_is_three_by_three_by_one_centimetres():
-    (part,) = printed().parts
-    extent_m = np.ptp(part.vertices_B_m, axis=0)
-    np.testing.assert_allclose(extent_m, (0.03, 0.03, 0.01), rtol=1e-9)
-    np.testing.assert_allclose(part.vertices_B_m.min(0) + part.vertices_B_m.max(0), 0.0, atol=1e-12)
 
 
 def test_a_wall_is_smoother_the_further_it_is_out_of_focus(monkeypatch):
