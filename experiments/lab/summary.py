@@ -75,12 +75,14 @@ def quoted_of(
 
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
     """Format rows as a Markdown table; `columns` maps headings to formats such as "{runs:.0f}"."""
-    return markdown_table(list(columns), shown_cells(rows, columns))
+    return markdown_table(shown(rows, columns))
 
 
-def shown_cells(rows: pd.DataFrame, columns: Mapping[str, str]) -> list[list[str]]:
-    """Return the cells of `shown_table`, row by row."""
-    return [[form.format(**row) for form in columns.values()] for row in records(rows)]
+def shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+    """Return the texts of `shown_table`."""
+    of_rows = records(rows)
+    return pd.DataFrame({head: [form.format(**row) for row in of_rows]
+                         for head, form in columns.items()})  # fmt: skip
 
 
 def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
@@ -88,9 +90,11 @@ def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a Markdown table; columns of numbers are aligned to the right, others to the left."""
-    rows = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+def markdown_table(texts: pd.DataFrame) -> str:
+    """Format texts as a Markdown table; columns of numbers are aligned to the right."""
+    header, *rows = [
+        [cell.replace("|", "\\|") for cell in row] for row in (texts.columns, *texts.to_numpy())
+    ]
     columns = list(zip(header, *rows, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
     right = [all(_NUMBER.fullmatch(cell) for cell in column[1:]) for column in columns]

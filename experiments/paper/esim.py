@@ -4,10 +4,9 @@ A run is one method on one flight with one offset. `lab.study.check_runs` checks
 complete, without repetition; failed runs are counted, and enter no mean.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -164,9 +163,3 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
 def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
     """Return the table of each duration in the runs, by duration [s]."""
     return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
-
-
-def describe(run: Mapping[Any, Any]) -> str:
-    """Describe a run by its key, for messages."""
-    names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {flight:g}, {method}"
-    return names.format_map(run)

@@ -4,6 +4,7 @@ from dataclasses import astuple, dataclass
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import typer
 
 from experiments.lab.recorded import observations, rig_of
@@ -99,7 +100,8 @@ def scene_command(
         rows.append(astuple(scene_figures(simulate(config, first_seed + flight))))
     means = vars(SceneFigures(*np.mean(rows, axis=0)))
     shown = [(name, theirs, ours.format_map(means)) for name, theirs, ours in SHOWN]
-    typer.echo(markdown_table(("quantity", "authors' sample", "ours"), shown))
+    texts = pd.DataFrame(shown, columns=["quantity", "authors' sample", "ours"])
+    typer.echo(markdown_table(texts))
 
 
 def _widths_px(events: Events, times_s: Array, half_window_s: float) -> list[float]:

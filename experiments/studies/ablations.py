@@ -44,17 +44,16 @@ def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 def sizes_table(results: Results) -> str:
     """Mean errors of t_d and R over all angles, by the drone's size and method."""
     table, varied = results.table("ablation_size"), "sim.drone_size_m"
-    header = [varied.split(".")[-1], *(f"`{method}`" for method in table["method"].unique())]
     rows = []
     for size_m, of_size in table.groupby(varied, sort=False):
-        cells = [f"{size_m:g}"]
-        for _, of in of_size.groupby("method", sort=False):
+        row = {varied.split(".")[-1]: f"{size_m:g}"}
+        for method, of in of_size.groupby("method", sort=False):
             means = [float(of[f"{error.column}_mean"].mean()) for error in (T_D_ERROR, R_ERROR)]
             shown = " / ".join(digits(mean) for mean in means if np.isfinite(mean)) or "none"
             n_runs = int(of["n_runs"].sum())
-            cells.append(f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})")
-        rows.append(cells)
-    return markdown_table(header, rows)
+            row[f"`{method}`"] = f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})"
+        rows.append(row)
+    return markdown_table(pd.DataFrame(rows))
 
 
 def largest_with_noise(results: Results) -> str:

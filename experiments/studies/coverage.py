@@ -161,12 +161,15 @@ def page_table(results: Results) -> str:
     for method in METHODS:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
         shares = (100 * of["coverage_95"]).map("{:.1f}".format)
-        t_d, others = of.loc["t_d"], (shares.get(one, "") for one in ("R", "t", "skew"))
-        sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
-        rms = f"{t_d['rms_normalised']:.2f}"
-        rows.append([f"`{method}`", shares["t_d"], sampling, *others, rms])
-    header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
-    return markdown_table([*header, "t_d: rms of error / deviation"], rows)
+        t_d = of.loc["t_d"].filter(like="coverage")
+        rows.append({
+            "method": f"`{method}`",
+            "t_d [%]": shares["t_d"],
+            "sampling [%]": "{coverage_95_low:.1f} to {coverage_95_high:.1f}".format(**100 * t_d),
+            **{f"{one} [%]": shares.get(one, "") for one in ("R", "t", "skew")},
+            "t_d: rms of error / deviation": f"{of.loc['t_d', 'rms_normalised']:.2f}",
+        })  # fmt: skip
+    return markdown_table(pd.DataFrame(rows))
 
 
 def below_the_mark(results: Results) -> str:

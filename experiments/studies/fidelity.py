@@ -19,7 +19,7 @@ from experiments.lab.cell import Flight, FlightCell, Measure, RunRow, load_nothi
 from experiments.lab.recorded import recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, by_group, made_of, markdown_table, shown_cells
+from experiments.lab.summary import answered, by_group, made_of, markdown_table, shown
 from experiments.paper.esim import ANGLES_DEG, DURATIONS_S, drawn
 from sim.recording import SimConfig
 from sim.render.config import SamplingConfig
@@ -214,9 +214,9 @@ def page_table(results: Results) -> str:
         heading = f"t_d by `{method}`: mean difference (largest){mark} [ms]"
         lines[heading] = f"{{{column}:.3f}} ± {{{se}:.3f}} ({{{most}:.3f}})"
     percent = {name: 100 * table[name] for name in ("spurious", "missing")}
-    shown = table.assign(answered=table["n_runs"] - table["failed"], **percent)
-    columns = zip(lines, *shown_cells(shown, lines), strict=True)
-    return markdown_table(["quantity", *(f"{d:g} s" for d in table["duration_s"])], list(columns))
+    texts = shown(table.assign(answered=table["n_runs"] - table["failed"], **percent), lines)
+    texts.index = table["duration_s"].map("{:g} s".format)
+    return markdown_table(texts.T.reset_index(names="quantity"))
 
 
 def verdict(results: Results) -> str:

@@ -10,18 +10,18 @@ import pandas as pd
 from experiments.drawing.errors import beyond_figure, error_figure, success_figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import command_of
-from experiments.lab.grid import Cell
+from experiments.lab.grid import Cell, changed
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Check, Made, Runs, Study
-from experiments.lab.summary import answered, digits, listed, markdown_table, records
-from experiments.lab.verify import scored_checks
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.summary import answered, digits, listed, markdown_table
+from experiments.lab.verify import no_row, scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
 from experiments.paper.comparison import PUBLISHED_ERRORS, load_published
 from experiments.paper.esim import DURATIONS_S, ERRORS, TABLES, Quantity, table_cells
 from experiments.paper.page import results_page
-from experiments.scenes.options import OPTIONS, changed
+from experiments.scenes.options import OPTIONS
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
@@ -78,9 +78,7 @@ def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
 # --- What must hold of any runs, whatever the methods find ---
 
 
-def _impossible(runs: pd.DataFrame) -> "pd.Series[bool]":
-    is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS) | runs["t_d_estimate_ms"].isna()
-    return is_so & (runs["status"] == "ok")
+_IMPOSSIBLE = f"not 0 <= t_d_error_ms <= {_SEARCH_MS} or t_d_estimate_ms != t_d_estimate_ms"
 
 
 def _poses_at_times(results: Results) -> list[str]:
@@ -89,19 +87,9 @@ def _poses_at_times(results: Results) -> list[str]:
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
-def _none(what: str, is_one: Callable[[pd.DataFrame], "pd.Series[bool]"]) -> Check:
-    """Declare a check that no run fulfils a condition."""
-
-    def faults(results: Results) -> list[str]:
-        runs = results.table("runs")
-        return [esim.describe(row) for row in records(runs[is_one(runs)])]
-
-    return what, faults
-
-
 CHECKS = (
-    _none("no run crashed", lambda runs: runs["status"] == CRASHED),
-    _none("errors are possible ones", _impossible),
+    ("no run crashed", no_row("runs", f"status == '{CRASHED}'")),
+    ("errors are possible ones", no_row("runs", f"status == 'ok' and ({_IMPOSSIBLE})")),
     ("a method gives a pose always or never", _poses_at_times),
     *scored_checks("runs"),
 )
@@ -167,16 +155,17 @@ def methods_table(results: Results) -> str:
     """Lay out the range of each method's mean errors over the cells of both tables."""
     rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
-        ranges = []
-        for error in ERRORS:
+        row = {"method": f"`{method}`"}
+        for error, quantity in ERRORS.items():
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
             # R and t of methods with a known pose are those that they were given
             is_given = method.endswith("-known") and error != esim.T_D_ERROR.column
             means = np.array(cell_means(results, method, error) if has_it and not is_given else [])
             known = means[np.isfinite(means)]
-            ranges.append(f"{digits(known.min())} to {digits(known.max())}" if len(known) else "")
-        rows.append([f"`{method}`", *ranges])
-    return markdown_table(["method", *(error.heading for error in ERRORS.values())], rows)
+            span = f"{digits(known.min())} to {digits(known.max())}" if len(known) else ""
+            row[quantity.heading] = span
+        rows.append(row)
+    return markdown_table(pd.DataFrame(rows))
 
 
 NUMBERS: Mapping[str, Callable[[Results], str]] = {

@@ -15,10 +15,9 @@ from typing import Annotated, Any
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
-from experiments.lab.grid import Cell, flight_seed
+from experiments.lab.grid import Cell, changed, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
 from experiments.lab.scored import Row, frames_of, scored_row
-from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig

@@ -14,9 +14,9 @@ from experiments.lab import schedule, study
 from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.command import command_of, finish, on_screen
+from experiments.lab.grid import changed
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Made, Runs, merge
-from experiments.scenes.options import changed
 from experiments.studies import tables
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
