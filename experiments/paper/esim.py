@@ -73,12 +73,6 @@ def table_cells() -> tuple[Cell, ...]:
     return tuple(cell for grid in table_grids() for cell in grid.cells())
 
 
-def place_of(cell: Cell) -> dict[str, float]:
-    """Give the columns that tell the cell's place in a table; the offset as `runs.csv` has it."""
-    duration_s, angle_deg = cell.sim.spline.duration_s, cell.sim.angle_deg
-    return {"duration_s": duration_s, "angle_deg": angle_deg, "t_d_ms": round(1e3 * cell.t_d_s, 6)}
-
-
 def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:
     """Yield (number, seed) of each flight, for the duration and angle of a configuration."""
     for flight in flights:

@@ -38,7 +38,7 @@ def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
             **statistics(ok, ["n_samples"], "mean"),
         }
 
-    return by_group(runs, [*varied, "method"], row)
+    return by_group(*varied, "method")(row)(runs)
 
 
 def sizes_table(results: Results) -> str:
@@ -63,16 +63,11 @@ def largest_with_noise(results: Results) -> str:
     return ", ".join(f"{value:.3f} {error.unit}" for error, value in most.items())
 
 
-def marks_with_noise(_: Results) -> str:
-    """Give the marks that `largest_with_noise` is not to exceed."""
-    return ", ".join(f"{mark:g} {error.unit}" for error, mark in NOISY_MARKS.items())
-
-
 _NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
     "ablation_size": {"table.ablation.size": sizes_table},
     "ablation_davis346": {
         "davis346.largest": largest_with_noise,
-        "davis346.mark": marks_with_noise,
+        "davis346.mark": lambda _: ", ".join(f"{m:g} {of.unit}" for of, m in NOISY_MARKS.items()),
     },
 }
 
@@ -125,7 +120,7 @@ def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
             row |= {f"{error}_{name}": value for name, value in _of_error(ok[error]).items()}
         return row
 
-    return by_group(runs, [*varied, "method"], row, dropna=False)
+    return by_group(*varied, "method")(row)(runs)
 
 
 def _of_error(column: "pd.Series[Any]") -> dict[str, float]:

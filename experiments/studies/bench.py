@@ -16,7 +16,6 @@ import typer
 
 from experiments.drawing.style import (
     ACCENT,
-    Axes,
     Figure,
     Named,
     label_log_axis,
@@ -143,7 +142,11 @@ def growth_figure(table: pd.DataFrame) -> Figure:
             line: dict[str, Any] = {"color": color, "marker": marker, "ms": 5, "lw": 1.2}
             axes.plot(here["events_per_camera"], here[column], zorder=3, **line)
         if len(measured):
-            _draw_guide(axes, measured, column)
+            top = measured.loc[measured[column].idxmax()]  # through which the guide goes
+            events = np.array([measured["events_per_camera"].min(), top["events_per_camera"]])
+            ends = axes.get_ylim()
+            axes.plot(events, float(top[column]) * events / events[1], **_GUIDE)
+            axes.set_ylim(*ends)
             for axis in (axes.xaxis, axes.yaxis):
                 label_log_axis(axis)
     marks: list[Named] = [(step, {"lw": 1.2, "color": color}) for step, color in colors.items()]
@@ -151,15 +154,6 @@ def growth_figure(table: pd.DataFrame) -> Figure:
     marks.append(("linear in the events", _GUIDE))
     legend_outside(figure, 5, marks)
     return figure
-
-
-def _draw_guide(axes: Axes, measured: pd.DataFrame, column: str) -> None:
-    """Draw a line of slope one through the largest value."""
-    top = measured.loc[measured[column].idxmax()]
-    events = np.array([measured["events_per_camera"].min(), top["events_per_camera"]])
-    bottom, highest = axes.get_ylim()
-    axes.plot(events, float(top[column]) * events / events[1], **_GUIDE)
-    axes.set_ylim(bottom, highest)
 
 
 def bench_faults(results: Results) -> Iterator[str]:

@@ -220,24 +220,21 @@ def path_off_best_point_m(path: SpacePath, true_m: Array, truth: FlightTruth) ->
     return float(np.sqrt(np.mean(np.sum(off_m**2, axis=1))))
 
 
-def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
+@by_group("kind")
+def camera_table(group: pd.DataFrame) -> dict[str, Any]:
     """Sum up the flights by kind: means of all that was measured, and the largest of the errors.
 
     `told` counts the answered cameras but the first, `_held` how many of their regions hold.
     """
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        good = answered(group)
-        others = good[good["camera"] > 1]
-        measured = [one.name for one in fields(CameraRow)[2:]]
-        summed = {one.column for one in _HELD.values()}
-        row: dict[str, Any] = {"cameras": len(group), "answered": len(good)}
-        row |= {name: good[name].mean() for name in measured if name not in summed}
-        row |= statistics(good, _WORST, "most") | {"told": len(others)}
-        counts, _ = held(others, _HELD)
-        return row | {name: n for name, n in counts.items() if name.endswith("_held")}
-
-    return by_group(runs, ("kind",), row)
+    good = answered(group)
+    others = good[good["camera"] > 1]
+    measured = [one.name for one in fields(CameraRow)[2:]]
+    summed = {one.column for one in _HELD.values()}
+    row: dict[str, Any] = {"cameras": len(group), "answered": len(good)}
+    row |= {name: good[name].mean() for name in measured if name not in summed}
+    row |= statistics(good, _WORST, "most") | {"told": len(others)}
+    counts, _ = held(others, _HELD)
+    return row | {name: n for name, n in counts.items() if name.endswith("_held")}
 
 
 def page_table(results: Results) -> str:

@@ -322,7 +322,7 @@ def page_table(results: Results) -> str:
             "seen": 100 * given["coverage"].mean(),
         }
 
-    table = by_group(results.table("outdoor"), ("kind",), row)
+    table = by_group("kind")(row)(results.table("outdoor"))
     return shown_table(table.assign(kind=table["kind"].str.replace("_", " ")), {
         "known": "{kind}",
         "answered": "{answered} of {of}",
@@ -465,7 +465,7 @@ STUDIES = (
         Measure(load_outdoor, outdoor_row, OutdoorRow),
         Runs("outdoor.csv", ("flight", "kind"), numbered=False,
              columns=("flight", "kind", "status", *MEASURED, "reason")),
-        (made_of("outdoor_oracle.csv", lambda of: by_group(of, ("kind",), means), "outdoor"),
+        (made_of("outdoor_oracle.csv", by_group("kind")(means), "outdoor"),
          Made("outdoor.png", first_flight, recordings=lambda duration=DURATION_S, **_:
               OutdoorCell(0, TWO_AT_ONCE, duration).recordings)),
         numbers={"table.outdoor": page_table},

@@ -52,12 +52,13 @@ _ERRORS = tuple(one for one in PUBLISHED_ERRORS if one.method == "ssac")
 
 def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
     """List every method on every recording of a duration, with each offset."""
-    methods, found = [method.name for method in OURS], list[bench.PhysicalCell]()
-    for angle_deg in ANGLES_DEG:
-        of_angle = bench.bench_of(ALL, angle_deg, duration_s, bench.setup_seed(angle_deg, 0))
-        for flight in range(recordings or N_RECORDINGS):
-            found += bench.cells_of(of_angle, {}, flight, T_DS_MS, methods)
-    return found
+    methods = [method.name for method in OURS]
+    benches = (
+        bench.bench_of(ALL, angle_deg, duration_s, bench.setup_seed(angle_deg, 0))
+        for angle_deg in ANGLES_DEG
+    )
+    every = product(benches, range(recordings or N_RECORDINGS))
+    return [one for at, n in every for one in bench.cells_of(at, {}, n, T_DS_MS, methods)]
 
 
 def published_tables() -> dict[float, pd.DataFrame]:
@@ -165,30 +166,28 @@ ON_THE_PAGE = ("ssac", "tangency")
 
 def budget_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
     """List the three methods on every kind of each recording."""
-    found: list[bench.PhysicalCell] = []
-    for angle_deg in ANGLES_DEG:
-        for flight in range(BUDGET_FIRST, BUDGET_FIRST + (recordings or BUDGET_RECORDINGS)):
-            setup = bench.setup_seed(angle_deg, flight)
-            for kind in KINDS:
-                of_kind = bench.bench_of(kind, angle_deg, BUDGET_S, setup)
-                found += bench.cells_of(of_kind, {"kind": kind}, flight, (BUDGET_T_D_MS,), METHODS)
-    return found
+    flights = range(BUDGET_FIRST, BUDGET_FIRST + (recordings or BUDGET_RECORDINGS))
+    return [
+        cell
+        for angle_deg, flight, kind in product(ANGLES_DEG, flights, KINDS)
+        for cell in bench.cells_of(
+            bench.bench_of(kind, angle_deg, BUDGET_S, bench.setup_seed(angle_deg, flight)),
+            {"kind": kind}, flight, (BUDGET_T_D_MS,), METHODS,
+        )
+    ]  # fmt: skip
 
 
-def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
+@by_group("kind", "angle_deg", "method")
+def budget_table(group: pd.DataFrame) -> dict[str, Any]:
     """Return mean errors of answered runs by kind, angle and method; `t_d_bias_ms` is signed."""
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        ok = answered(group)
-        stated = ok[np.isfinite(ok["t_d_std_ms"].astype(float))]
-        return {
-            **{"runs": len(group), "answered": len(ok)},
-            **statistics(ok, [*ERRORS], "mean", "std"),
-            "t_d_bias_ms": (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean(),
-            "t_d_held": held(stated, "t_d", "ms").mean() if len(stated) else np.nan,
-        }
-
-    return by_group(runs, ("kind", "angle_deg", "method"), row)
+    ok = answered(group)
+    stated = ok[np.isfinite(ok["t_d_std_ms"].astype(float))]
+    return {
+        **{"runs": len(group), "answered": len(ok)},
+        **statistics(ok, [*ERRORS], "mean", "std"),
+        "t_d_bias_ms": (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean(),
+        "t_d_held": held(stated, "t_d", "ms").mean() if len(stated) else np.nan,
+    }
 
 
 def budget_figure(summary: pd.DataFrame) -> Figure:
@@ -289,14 +288,15 @@ def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
 
 def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
     """List every ratio and polarity on each recording."""
-    found: list[bench.PhysicalCell] = []
-    for flight in range(LIGHT_FIRST, LIGHT_FIRST + (recordings or LIGHT_RECORDINGS)):
-        setup = bench.setup_seed(LIGHT_ANGLE_DEG, flight)
-        for ratio in RATIOS:
-            for name, polarity in POLARITIES.items():
-                of, named = lit(ratio, polarity, setup), {"light_ratio": ratio, "polarity": name}
-                found += bench.cells_of(of, named, flight, (LIGHT_T_D_MS,), (LIGHT_METHOD,))
-    return found
+    flights = range(LIGHT_FIRST, LIGHT_FIRST + (recordings or LIGHT_RECORDINGS))
+    return [
+        cell
+        for flight, ratio, (name, polarity) in product(flights, RATIOS, POLARITIES.items())
+        for cell in bench.cells_of(
+            lit(ratio, polarity, bench.setup_seed(LIGHT_ANGLE_DEG, flight)),
+            {"light_ratio": ratio, "polarity": name}, flight, (LIGHT_T_D_MS,), (LIGHT_METHOD,),
+        )
+    ]  # fmt: skip
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -309,7 +309,7 @@ def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
         std_ms = ok["t_d_std_ms"].mean()
         return {"runs": len(group), "answered": len(ok), **apparent, "t_d_std_ms": std_ms}
 
-    table = by_group(runs, ("light_ratio", "polarity"), row)
+    table = by_group("light_ratio", "polarity")(row)(runs)
     means = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
     inverse = zip(1.0 / table["light_ratio"], table["polarity"], strict=True)
     swapped = means.reindex(list(inverse)).to_numpy()

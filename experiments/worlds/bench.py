@@ -120,15 +120,8 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
 """By name: the fields of a `SetUp` that differ from the ideal bench, with their values."""
 
 
-def only(name: str) -> str:
-    """Name the kind that has one imperfection."""
-    return f"only {name}"
-
-
-def all_but(name: str) -> str:
-    """Name the kind that has all but one."""
-    return f"all but {name}"
-
+only, all_but = "only {}".format, "all but {}".format
+"""Names of the kinds that have one imperfection, or all but one."""
 
 KINDS: Mapping[str, Collection[str]] = {
     NONE: (),
