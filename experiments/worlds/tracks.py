@@ -231,12 +231,12 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
             for k in (1, 2)
             for what, seconds in (("", estimate.readouts_s), ("std_", estimate.readouts_std_s))
         },
+        **_effect_of_readouts(result),
         "residual_px": estimate.d_avg_px,
         "n_samples": estimate.n_samples,
         "reason": estimate.reason,
         "from_truth_ms": from_truth_ms if estimate.has_offset else np.nan,
         "seconds": round(one.seconds[pair], 1),
-        **_effect_of_readouts(result),
     }
 
 
