@@ -147,9 +147,6 @@ def verify_command(
         int | None,
         number("Seed of the draw of those recordings.", 0, MAX_SEED, default_words="a new one"),
     ] = None,
-    slow: Annotated[
-        bool, flag("slow", "Draw from studies that take minutes a recording too.")
-    ] = False,
     only: Annotated[
         str | None, named("NAME", "Draw from this study alone, such as tables.", "all")
     ] = None,
@@ -159,7 +156,7 @@ def verify_command(
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
     studies = all_studies()
-    sources = sources_of(studies, slow, only)
+    sources = sources_of(studies, only)
     kept = Results(results)
     committed = [study for study in studies.values() if study.is_committed]
     failed = _report(file_findings(results, committed, PUBLISHED_SHA256))
@@ -168,7 +165,7 @@ def verify_command(
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(MAX_SEED + 1) if sample_seed is None else sample_seed
-        options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
+        options = f"--sample-seed {seed} --recordings {recordings}"
         options += f" --only {only}" if only else ""
         typer.echo(f"recordings drawn by: ssac verify {options}")
         drawn = draw(sources, recordings, seed)

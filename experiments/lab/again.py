@@ -45,10 +45,8 @@ _MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
 Drawn = tuple[Study, Task]  # a study, and the task of its runs on one recording that was drawn
 
 
-def sources_of(
-    studies: Mapping[str, Study], slow: bool = False, only: str | None = None
-) -> list[Study]:
-    """List the studies to draw from; slow ones, with minutes per recording, only if asked for."""
+def sources_of(studies: Mapping[str, Study], only: str | None = None) -> list[Study]:
+    """List the studies to draw from: of those with minutes per recording only the one asked for."""
     able = {
         name: study
         for name, study in studies.items()
@@ -58,7 +56,7 @@ def sources_of(
         if only not in able:
             raise SsacError(f"--only: expected a study of {', '.join(able)}, got {only}")
         return [able[only]]
-    return [study for study in able.values() if slow or study.again]
+    return [study for study in able.values() if study.again]
 
 
 def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:

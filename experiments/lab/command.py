@@ -171,27 +171,6 @@ def on_screen(table: pd.DataFrame) -> str:
 
 def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
     """Report what was done; runs that crashed are a bug, of ours or of another package."""
-    _tell(outcomes, cache)
-    for path in files:
-        typer.echo(f"written to {path}")
-    crashed = (of.runs["reason"][of.runs["status"] == CRASHED] for of in outcomes)
-    reasons = [reason for of_study in crashed for reason in of_study]
-    if not reasons:
-        return
-    if all(reason.startswith(NOT_SIMULATED) for reason in reasons):
-        reason = reasons[0].removeprefix(NOT_SIMULATED)
-        raise SsacError(f"{len(reasons)} runs have no recording, the first of them: {reason}")
-    theirs = all(f" {PluginError.__name__}: " in reason for reason in reasons)
-    whose = "other packages' methods" if theirs else "this program"
-    typer.echo(
-        f"error: a bug in {whose}: {len(reasons)} runs crashed, their reasons are in the rows; run"
-        " again to try them again",
-        err=True,
-    )
-    raise typer.Exit(BUG)
-
-
-def _tell(outcomes: Sequence[Outcome], cache: Cache) -> None:
     runs = pd.concat([outcome.runs for outcome in outcomes], ignore_index=True)
     n_recordings = sum(outcome.n_recordings for outcome in outcomes)
     n_simulated = sum(outcome.n_simulated for outcome in outcomes)
@@ -208,3 +187,19 @@ def _tell(outcomes: Sequence[Outcome], cache: Cache) -> None:
     for (name, status), group in failed.groupby([of, "status"]):
         lines.append(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}")
     typer.echo("\n".join(lines), err=True)
+    for path in files:
+        typer.echo(f"written to {path}")
+    reasons = runs["reason"][runs["status"] == CRASHED].tolist()
+    if not reasons:
+        return
+    if all(reason.startswith(NOT_SIMULATED) for reason in reasons):
+        reason = reasons[0].removeprefix(NOT_SIMULATED)
+        raise SsacError(f"{len(reasons)} runs have no recording, the first of them: {reason}")
+    theirs = all(f" {PluginError.__name__}: " in reason for reason in reasons)
+    whose = "other packages' methods" if theirs else "this program"
+    typer.echo(
+        f"error: a bug in {whose}: {len(reasons)} runs crashed, their reasons are in the rows; run"
+        " again to try them again",
+        err=True,
+    )
+    raise typer.Exit(BUG)

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from experiments.lab.cell import FlightCell
 from experiments.lab.results import DIGITS
@@ -36,6 +36,8 @@ MAX_DURATION_S = 3600.0  # longest flight, as for `ssac simulate`
 _KEYS = ("title", "flights", "first_flight", "methods", "search_around_truth_s",
          "fixed", "grid", "together", "figure")  # fmt: skip
 _ROOTS: dict[str, Any] = {"sim": SimConfig(), "ssac": Config()}
+
+Changed = TypeVar("Changed")
 
 
 @dataclass(frozen=True)
@@ -228,33 +230,42 @@ def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
         root, _, path = name.partition(".")
         if root not in given or not path:
             raise SsacError(f"unknown parameter {name!r}: expected sim.<name> or ssac.<name>")
-        given[root][path] = value
-    sim, estimator = (_with_values(_ROOTS[root], values, root) for root, values in given.items())
+        given[root][path] = _checked_value(name, value, _ROOTS[root], path)
+    sim, estimator = (changed(_ROOTS[root], values) for root, values in given.items())
     return sim, estimator
 
 
-def _with_values(config: Any, values: Mapping[str, Any], prefix: str) -> Any:
-    """Set fields of a nested dataclass by dotted paths, all at once: it checks them together."""
+def _checked_value(name: str, value: Any, config: Any, path: str) -> Any:
+    """Convert a value to the type of the field that a dotted path names in a nested dataclass."""
     hints = get_type_hints(type(config))
     known = [one.name for one in fields(config)]
+    key, _, rest = path.partition(".")
+    if key not in known:
+        raise SsacError(f"unknown parameter {name!r}: {key!r} is none of {', '.join(known)}")
+    if rest:
+        if not is_dataclass(getattr(config, key)):
+            raise SsacError(f"unknown parameter {name!r}: {key!r} has no parts")
+        return _checked_value(name, value, getattr(config, key), rest)
+    try:
+        return _converted(value, hints[key])
+    except TypeError as error:
+        raise SsacError(f"{name}: expected {_type_name(hints[key])}, got {value!r}") from error
+
+
+def changed(default: Changed, values: Mapping[str, Any]) -> Changed:
+    """Set fields by dotted names, all at once, since a configuration checks them together."""
+    config: Any = default
     changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
-    for path, value in values.items():
-        name = f"{prefix}.{path}"
-        key, _, rest = path.partition(".")
-        if key not in known:
-            raise SsacError(f"unknown parameter {name!r}: {key!r} is none of {', '.join(known)}")
+    for name, value in values.items():
+        head, _, rest = name.partition(".")
         if rest:
-            if not is_dataclass(getattr(config, key)):
-                raise SsacError(f"unknown parameter {name!r}: {key!r} has no parts")
-            parts.setdefault(key, {})[rest] = value
-            continue
-        try:
-            changes[key] = _converted(value, hints[key])
-        except TypeError as error:
-            raise SsacError(f"{name}: expected {_type_name(hints[key])}, got {value!r}") from error
-    for key, part in parts.items():
-        changes[key] = _with_values(getattr(config, key), part, f"{prefix}.{key}")
-    return replace(config, **changes)
+            parts.setdefault(head, {})[rest] = value
+        else:
+            changes[head] = value
+    for head, part in parts.items():
+        changes[head] = changed(changes.get(head, getattr(config, head)), part)
+    made: Changed = replace(config, **changes)
+    return made
 
 
 def _converted(value: Any, hint: Any) -> Any:

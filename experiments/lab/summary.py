@@ -3,6 +3,7 @@
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pandas as pd
 from experiments.lab.results import Results
 from experiments.lab.study import Made
 from ssac.fit.covariance import NORMAL_95
+
+GroupRow = Callable[[pd.DataFrame], Mapping[str, Any]]
 
 UNKNOWN = "none"  # shown in place of an unknown number
 _WIDTH = 100
@@ -25,14 +28,26 @@ _STATISTICS: Mapping[str, Callable[["pd.Series[Any]"], float]] = {
 
 
 def by_group(
-    runs: pd.DataFrame,
-    keys: Sequence[str],
-    row: Callable[[pd.DataFrame], Mapping[str, Any]],
-    dropna: bool = True,
-) -> pd.DataFrame:
-    """Make a row of each group of runs, in order of appearance: the keys, then what `row` gives."""
-    groups = runs.groupby(list(keys), sort=False, dropna=dropna)
-    return pd.DataFrame([{**dict(zip(keys, key, strict=True)), **row(of)} for key, of in groups])
+    *keys: str, of_all: str = ""
+) -> Callable[[GroupRow], Callable[[pd.DataFrame], pd.DataFrame]]:
+    """Turn a function that makes the row of a group of runs into one that makes the whole table.
+
+    The groups have equal `keys`, which come first in their row, and are in order of appearance;
+    `of_all` names a group of all runs, which is before them.
+    """
+
+    def table_of(row: GroupRow) -> Callable[[pd.DataFrame], pd.DataFrame]:
+        @wraps(row)
+        def table(runs: pd.DataFrame) -> pd.DataFrame:
+            if of_all:
+                runs = pd.concat([runs.assign(**{keys[0]: of_all}), runs])
+            groups = runs.groupby(list(keys), sort=False, dropna=False)
+            rows = [{**dict(zip(keys, key, strict=True)), **row(of)} for key, of in groups]
+            return pd.DataFrame(rows)
+
+        return table
+
+    return table_of
 
 
 def answered(runs: pd.DataFrame) -> pd.DataFrame:
@@ -75,12 +90,14 @@ def quoted_of(
 
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
     """Format rows as a Markdown table; `columns` maps headings to formats such as "{runs:.0f}"."""
-    return markdown_table(list(columns), shown_cells(rows, columns))
+    return markdown_table(shown(rows, columns))
 
 
-def shown_cells(rows: pd.DataFrame, columns: Mapping[str, str]) -> list[list[str]]:
-    """Return the cells of `shown_table`, row by row."""
-    return [[form.format(**row) for form in columns.values()] for row in records(rows)]
+def shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+    """Return the texts of `shown_table`."""
+    of_rows = records(rows)
+    return pd.DataFrame({head: [form.format(**row) for row in of_rows]
+                         for head, form in columns.items()})  # fmt: skip
 
 
 def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
@@ -88,9 +105,11 @@ def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a Markdown table; columns of numbers are aligned to the right, others to the left."""
-    rows = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+def markdown_table(texts: pd.DataFrame) -> str:
+    """Format texts as a Markdown table; columns of numbers are aligned to the right."""
+    header, *rows = [
+        [cell.replace("|", "\\|") for cell in row] for row in (texts.columns, *texts.to_numpy())
+    ]
     columns = list(zip(header, *rows, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
     right = [all(_NUMBER.fullmatch(cell) for cell in column[1:]) for column in columns]

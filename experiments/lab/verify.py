@@ -159,52 +159,17 @@ def near(mine: float, other: float, digits: int) -> bool:
     return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: decimal units are not exact in binary
 
 
-def _each(
-    name: str,
-    wrong: Callable[[pd.DataFrame], "pd.Series[Any]"],
-    said: Callable[["pd.Series[Any]"], str],
-) -> Callable[[Results], list[str]]:
-    """Make a check that reports each wrong row of a table; `said` describes the row's fault."""
+def no_row(name: str, wrong: str) -> Callable[[Results], list[str]]:
+    """Make a check that no row of a table is wrong by an expression, as `DataFrame.query` takes it.
+
+    No comparison is true of an empty cell, except that it is unlike all.
+    """
 
     def check(results: Results) -> list[str]:
-        table = results.table(name)
-        at = table.index[wrong(table)]
-        return [f"{name}.csv, row {row}: {said(table.loc[row])}" for row in at]
+        rows = results.table(name).query(wrong).index
+        return [f"{name}.csv, row {row}: {wrong}" for row in rows]
 
     return check
-
-
-def between(name: str, column: str, low: float, high: float) -> Callable[[Results], list[str]]:
-    """Make a check that a column's numbers lie between two bounds; empty cells pass."""
-    return _each(
-        name,
-        lambda table: table[column].notna() & ~table[column].between(low, high),
-        lambda row: f"{column} is {row[column]:g}",
-    )
-
-
-def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
-    """Make a check that column `low` exceeds column `high` in no row."""
-    return _each(name, lambda t: t[low] > t[high], lambda _: f"{low} is above {high}")
-
-
-def follows(
-    name: str, column: str, formula: Callable[[pd.DataFrame], "pd.Series[float]"], within: float
-) -> Callable[[Results], list[str]]:
-    """Make a check that a column follows from others by a formula, to within a tolerance."""
-
-    def check(results: Results) -> list[str]:
-        table = results.table(name)
-        off = (formula(table) - table[column]).abs()
-        wrong = off[off > within].items()
-        return [f"{name}.csv, row {row}: {column} is off by {value:g}" for row, value in wrong]
-
-    return check
-
-
-def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
-    """Make a check that a column has only the given values."""
-    return _each(name, lambda t: ~t[column].isin(values), lambda row: f"{column} is {row[column]}")
 
 
 def _senseless_rows(name: str, results: Results) -> Iterator[str]:
@@ -225,13 +190,15 @@ def _senseless_rows(name: str, results: Results) -> Iterator[str]:
 def scored_checks(name: str) -> tuple[Check, ...]:
     """Make the checks of a file of scored runs (`lab.scored`) that hold for all methods."""
 
-    def off(runs: pd.DataFrame) -> "pd.Series[bool]":
+    def off(results: Results) -> list[str]:
+        runs = results.table(name)
         t_d_ms = runs["t_d_ms"] if "t_d_ms" in runs else 1e3 * runs["sim.t_d_s"]
         off_ms = (runs["t_d_estimate_ms"] - t_d_ms).abs() - runs["t_d_error_ms"]
         wrong = ~(off_ms.abs() <= _ROUNDING_MS)
         if "skew_ppm" in runs:
             wrong |= _unlike_skews(runs)
-        return wrong & runs["t_d_estimate_ms"].notna()  # the others have no estimate
+        at = runs.index[wrong & runs["t_d_estimate_ms"].notna()]  # the others have no estimate
+        return [f"{name}.csv, row {row}: its errors are not those of its estimate" for row in at]
 
     def recordings(results: Results) -> list[str]:
         runs = results.table(name)
@@ -243,10 +210,9 @@ def scored_checks(name: str) -> tuple[Check, ...]:
         return [f"{name}.csv, {key}: several numbers of events" for key in several]
 
     return (
-        ("errors are those of the estimates",
-         _each(name, off, lambda _: "its errors are not those of its estimate")),
+        ("errors are those of the estimates", off),
         ("all runs on a flight saw the same events", recordings),
-        *(("angles are angles", between(name, one, 0.0, 180.0))
+        *(("angles are angles", no_row(name, f"{one} < 0 or {one} > 180"))
           for one in ("r_error_deg", "t_error_deg")),
     )  # fmt: skip
 

@@ -4,10 +4,9 @@ A run is one method on one flight with one offset. `lab.study.check_runs` checks
 complete, without repetition; failed runs are counted, and enter no mean.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -72,12 +71,6 @@ def table_grids() -> tuple[GridConfig, ...]:
 def table_cells() -> tuple[Cell, ...]:
     """List every run of the tables."""
     return tuple(cell for grid in table_grids() for cell in grid.cells())
-
-
-def place_of(cell: Cell) -> dict[str, float]:
-    """Give the columns that tell the cell's place in a table; the offset as `runs.csv` has it."""
-    duration_s, angle_deg = cell.sim.spline.duration_s, cell.sim.angle_deg
-    return {"duration_s": duration_s, "angle_deg": angle_deg, "t_d_ms": round(1e3 * cell.t_d_s, 6)}
 
 
 def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:
@@ -164,9 +157,3 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
 def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
     """Return the table of each duration in the runs, by duration [s]."""
     return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
-
-
-def describe(run: Mapping[Any, Any]) -> str:
-    """Describe a run by its key, for messages."""
-    names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {flight:g}, {method}"
-    return names.format_map(run)

@@ -4,10 +4,9 @@ Its tables are made here, for the HTML report too; the page's text stands in the
 `page.md.jinja`. Every mean also stands in one of the CSV files.
 """
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -18,7 +17,7 @@ from experiments.lab.summary import (
     means_with_stds,
     number,
     paragraph,
-    shown_cells,
+    shown,
 )
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
@@ -28,14 +27,6 @@ from experiments.paper.comparison import (
     summary_table,
 )
 from experiments.paper.esim import ERRORS, POSE_ERRORS, T_D_ERROR, method_order, pose_methods
-
-
-class Table(NamedTuple):
-    """A table's headings and cells as texts."""
-
-    head: list[str]
-    rows: list[list[str]]
-
 
 _PAGES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
@@ -136,39 +127,41 @@ _DIFFERENCES = {
 """_AGAINST, _FURTHER and _DIFFERENCES: formats of a row's values, by the column's heading."""
 
 
-def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
-    cells = shown_cells(rows.assign(error=rows["quantity"].map(_LABELS)), columns)
-    known = [[re.sub(r"\bnan\b", UNKNOWN, cell) for cell in row] for row in cells]
-    return Table(list(columns), known)
+def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+    texts = shown(rows.assign(error=rows["quantity"].map(_LABELS)), columns)
+    return texts.replace(r"\bnan\b", UNKNOWN, regex=True)
 
 
-def _changed_verdicts(comparison: pd.DataFrame) -> Table:
+def _changed_verdicts(comparison: pd.DataFrame) -> pd.DataFrame:
     """List the cells whose verdict changed; those of a quantity that changed alike share a row."""
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
-    rows = []
     groups = changed.groupby(["quantity", "duration_s", "first_verdict", "verdict"])
-    for (name, duration_s, first, now), part in groups:
-        cells = [
-            f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
-            for angle_deg, at_angle in part.groupby("angle_deg")
-        ]
-        verdicts = str(first), str(now), "; ".join(cells)
-        rows.append([_LABELS[str(name)], f"{duration_s:g} s", *verdicts])
-    return Table(["mean error", "flights", f"first {PUBLISHED_RUNS}", "all", "cells"], rows)
+    return pd.DataFrame([
+        {
+            "mean error": _LABELS[str(name)],
+            "flights": f"{duration_s:g} s",
+            f"first {PUBLISHED_RUNS}": first,
+            "all": now,
+            "cells": "; ".join(
+                f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
+                for angle_deg, at_angle in part.groupby("angle_deg")
+            ),
+        }
+        for (name, duration_s, first, now), part in groups
+    ])  # fmt: skip
 
 
-def _growth(comparison: pd.DataFrame) -> Table:
+def _growth(comparison: pd.DataFrame) -> pd.DataFrame:
     """Tabulate the correlation methods' mean errors by angle, ours and the paper's."""
-    angles = [f"{angle:g} deg" for angle in sorted(comparison["angle_deg"].unique())]
     rows = []
     chosen = comparison[comparison["quantity"].str.startswith("zncc")]
     for (name, duration_s), part in chosen.groupby(["quantity", "duration_s"]):
-        means = part.groupby("angle_deg")[["ours_mean", "published_mean"]].mean()
         method = f"`{str(name).removesuffix(f'_{T_D_ERROR.column}')}`"
         for who, column in (("ours", "ours_mean"), ("paper", "published_mean")):
-            values = [number(value, 0) for value in means[column]]
-            rows.append([method, f"{duration_s:g} s", who, *values])
-    return Table(["method", "flights", "whose", *angles], rows)
+            means = part.groupby("angle_deg")[column].mean()
+            values = {f"{angle_deg:g} deg": number(mean, 0) for angle_deg, mean in means.items()}
+            rows.append({"method": method, "flights": f"{duration_s:g} s", "whose": who, **values})
+    return pd.DataFrame(rows)
 
 
 def _flights(
@@ -189,53 +182,51 @@ def _flights(
     }
 
 
-def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> Table:
+def _beside_the_paper(part: pd.DataFrame, is_ssac: bool, decimals: int) -> pd.DataFrame:
     """Tabulate our mean, the paper's and the verdict, one row for each angle and offset."""
-    columns: list[tuple[str, list[str]]] = []
+    columns: list[pd.Series] = []
     for quantity in PUBLISHED_ERRORS:
-        chosen = part[part["quantity"] == quantity.name]
+        chosen = part[part["quantity"] == quantity.name].reset_index()
         if len(chosen) and (quantity.method == "ssac") == is_ssac:
-            columns = columns or _places(chosen)
-            columns += [
-                (head, means_with_stds(chosen[f"{whose}_mean"], chosen[f"{whose}_std"], decimals))
-                for head, whose in ((_LABELS[quantity.name], "ours"), ("paper", "published"))
-            ]
-            columns.append(("verdict", list(chosen["verdict"])))
-    return _table(columns)
+            columns = columns or [*_places(chosen)]
+            for head, whose in ((_LABELS[quantity.name], "ours"), ("paper", "published")):
+                mean, std = chosen[f"{whose}_mean"], chosen[f"{whose}_std"]
+                columns.append(pd.Series(means_with_stds(mean, std, decimals), name=head))
+            columns.append(chosen["verdict"])
+    return pd.concat(columns, axis=1) if columns else pd.DataFrame()
 
 
-def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table | None:
+def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> pd.DataFrame | None:
     """Tabulate errors (method, error), one row for each angle and offset; None without errors."""
-    columns = _places(table)
+    columns = {}
     for method, error in errors:
         means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))
         decimals = 1 if means.max() >= 10 else 3 if error == T_D_ERROR.column else 2
         n_ok = table["n_runs"] - table[f"{method}_failed"]
-        cells = [
+        columns[label(method, error)] = [
             cell if n == n_runs or not n else f"{cell} ({n} runs)"
             for cell, n, n_runs in zip(
                 means_with_stds(means, stds, decimals), n_ok, table["n_runs"], strict=True
             )
         ]
-        columns.append((label(method, error), cells))
-    return _table(columns) if errors else None
+    return pd.concat([*_places(table), pd.DataFrame(columns)], axis=1) if errors else None
 
 
-def _places(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
-    heads = {"angle_deg": "angle [deg]", "t_d_ms": "t_d [ms]"}
-    return [(head, [f"{value:g}" for value in rows[name]]) for name, head in heads.items()]
+def _places(rows: pd.DataFrame) -> Iterator[pd.Series]:
+    for name, head in (("angle_deg", "angle [deg]"), ("t_d_ms", "t_d [ms]")):
+        yield rows[name].map("{:g}".format).rename(head)
 
 
-def _table(columns: Sequence[tuple[str, list[str]]]) -> Table:
-    rows = zip(*(cells for _, cells in columns), strict=True)
-    return Table([head for head, _ in columns], [list(row) for row in rows])
-
-
-def _failures(runs: pd.DataFrame) -> Table:
+def _failures(runs: pd.DataFrame) -> pd.DataFrame:
     """Count the runs that gave no estimate, with one reason of each kind."""
     groups = runs[runs["status"] != "ok"].groupby(["method", "duration_s", "status"])
-    rows = [
-        [f"`{method}`", f"{duration_s:g} s", str(status), str(len(group)), group["reason"].iloc[0]]
+    return pd.DataFrame([
+        {
+            "method": f"`{method}`",
+            "flights": f"{duration_s:g} s",
+            "status": status,
+            "runs": str(len(group)),
+            "reason of the first": group["reason"].iloc[0],
+        }
         for (method, duration_s, status), group in groups
-    ]
-    return Table(["method", "flights", "status", "runs", "reason of the first"], rows)
+    ])  # fmt: skip

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from experiments.lab.grid import changed
 from sim.disturb import MAX_FOCAL_PERCENT, DisturbConfig
 from sim.effects.config import SENSOR_PRESETS, SensorEffects, SensorPreset
 from sim.errors import SimError
@@ -22,8 +23,6 @@ from sim.sensor.events import PRESETS, SensorConfig
 from ssac.cli.options import Option, flag, named, number
 
 MAX_SEED = 2**32 - 1
-
-Changed = TypeVar("Changed")
 
 _IDEAL = "ideal"
 _DISTURB = "disturb."
@@ -184,22 +183,6 @@ def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbC
     disturb = {name: values.pop(name) for name in list(values) if name.startswith(_DISTURB)}
     of_disturb = {name.removeprefix(_DISTURB): value for name, value in disturb.items()}
     return changed(SimConfig(), more | values), replace(DisturbConfig(), **of_disturb)
-
-
-def changed(default: Changed, values: Mapping[str, Any]) -> Changed:
-    """Set fields by dotted names, all at once, since a configuration checks them together."""
-    config: Any = default
-    changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
-    for name, value in values.items():
-        head, _, rest = name.partition(".")
-        if rest:
-            parts.setdefault(head, {})[rest] = value
-        else:
-            changes[head] = value
-    for head, part in parts.items():
-        changes[head] = changed(changes.get(head, getattr(config, head)), part)
-    made: Changed = replace(config, **changes)
-    return made
 
 
 def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:

@@ -1,9 +1,9 @@
 """Statistics of a simulated recording as the method sees it, beside the authors' public sample."""
 
-from dataclasses import astuple, dataclass
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import typer
 
 from experiments.lab.recorded import observations, rig_of
@@ -33,26 +33,16 @@ SHOWN = (
     ("width in the event image [px]", "20-45", "{narrow_px:.0f}-{wide_px:.0f}"),
     ("events per camera", "", "{n_events:.0f}"),
 )
-"""For each quantity: name, value in the authors' sample, and format of `SceneFigures`."""
+"""For each quantity: name, value in the authors' sample, and format of `scene_figures`."""
 
 
-@dataclass(frozen=True)
-class SceneFigures:
-    """Statistics of a recording at the true clock and with the true fundamental matrix F."""
+def scene_figures(recording: Recording) -> dict[str, float]:
+    """Return the statistics of SHOWN, at the true clock and with the true fundamental matrix F.
 
-    speed_px_s: float  # median over both cameras
-    n_valid: float  # sample times valid in both views
-    n_samples: float
-    mean_distance_px: float  # of a point from its epipolar line
-    median_distance_px: float
-    slope_px: float  # rise of d_avg 10 ms off the true offset
-    narrow_px: float  # 5th percentile of the width over the valid sample times
-    wide_px: float  # 95th percentile
-    n_events: float  # mean per camera
-
-
-def scene_figures(recording: Recording) -> SceneFigures:
-    """Return the statistics of a recording; SsacError if nothing is seen."""
+    The speed is the median over both cameras, and the slope the rise of d_avg 10 ms off the true
+    offset; the widths are the 5th and the 95th percentile over the valid sample times, and the
+    events the mean per camera. SsacError if nothing is seen.
+    """
     config, rig, t_d_s = Config(), rig_of(recording, with_extrinsics=True), recording.truth.t_d_s
     chain = Chain(observations(recording), rig, config)
     views = chain.views()
@@ -72,17 +62,17 @@ def scene_figures(recording: Recording) -> SceneFigures:
     for k, (motion, at_s) in enumerate(zip(views.motions, shown_s, strict=True)):
         velocities.append(motion.velocities_at(at_s))
         widths += _widths_px(seen[k], at_s, config.half_window_s)
-    return SceneFigures(
-        speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
-        n_valid=float(np.count_nonzero(pairs.valid[1])),
-        n_samples=config.n_samples,
-        mean_distance_px=float(mean),
-        median_distance_px=float(np.median(distances[1])),
-        slope_px=float((before + after) / 2 - mean),
-        narrow_px=float(np.percentile(widths, 5)),
-        wide_px=float(np.percentile(widths, 95)),
-        n_events=float(np.mean([len(camera.events) for camera in recording.cameras])),
-    )
+    return {
+        "speed_px_s": float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
+        "n_valid": float(np.count_nonzero(pairs.valid[1])),
+        "n_samples": config.n_samples,
+        "mean_distance_px": float(mean),
+        "median_distance_px": float(np.median(distances[1])),
+        "slope_px": float((before + after) / 2 - mean),
+        "narrow_px": float(np.percentile(widths, 5)),
+        "wide_px": float(np.percentile(widths, 95)),
+        "n_events": float(np.mean([len(camera.events) for camera in recording.cameras])),
+    }
 
 
 def scene_command(
@@ -96,10 +86,11 @@ def scene_command(
     rows = []
     for flight in range(seeds):
         typer.echo(f"flight {flight + 1} of {seeds}", err=True)
-        rows.append(astuple(scene_figures(simulate(config, first_seed + flight))))
-    means = vars(SceneFigures(*np.mean(rows, axis=0)))
-    shown = [(name, theirs, ours.format_map(means)) for name, theirs, ours in SHOWN]
-    typer.echo(markdown_table(("quantity", "authors' sample", "ours"), shown))
+        rows.append(scene_figures(simulate(config, first_seed + flight)))
+    means = pd.DataFrame(rows).mean()
+    shown = [(name, theirs, ours.format(**means)) for name, theirs, ours in SHOWN]
+    texts = pd.DataFrame(shown, columns=["quantity", "authors' sample", "ours"])
+    typer.echo(markdown_table(texts))
 
 
 def _widths_px(events: Events, times_s: Array, half_window_s: float) -> list[float]:

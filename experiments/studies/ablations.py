@@ -38,23 +38,22 @@ def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
             **statistics(ok, ["n_samples"], "mean"),
         }
 
-    return by_group(runs, [*varied, "method"], row)
+    return by_group(*varied, "method")(row)(runs)
 
 
 def sizes_table(results: Results) -> str:
     """Mean errors of t_d and R over all angles, by the drone's size and method."""
     table, varied = results.table("ablation_size"), "sim.drone_size_m"
-    header = [varied.split(".")[-1], *(f"`{method}`" for method in table["method"].unique())]
     rows = []
     for size_m, of_size in table.groupby(varied, sort=False):
-        cells = [f"{size_m:g}"]
-        for _, of in of_size.groupby("method", sort=False):
+        row = {varied.split(".")[-1]: f"{size_m:g}"}
+        for method, of in of_size.groupby("method", sort=False):
             means = [float(of[f"{error.column}_mean"].mean()) for error in (T_D_ERROR, R_ERROR)]
             shown = " / ".join(digits(mean) for mean in means if np.isfinite(mean)) or "none"
             n_runs = int(of["n_runs"].sum())
-            cells.append(f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})")
-        rows.append(cells)
-    return markdown_table(header, rows)
+            row[f"`{method}`"] = f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})"
+        rows.append(row)
+    return markdown_table(pd.DataFrame(rows))
 
 
 def largest_with_noise(results: Results) -> str:
@@ -64,16 +63,11 @@ def largest_with_noise(results: Results) -> str:
     return ", ".join(f"{value:.3f} {error.unit}" for error, value in most.items())
 
 
-def marks_with_noise(_: Results) -> str:
-    """Give the marks that `largest_with_noise` is not to exceed."""
-    return ", ".join(f"{mark:g} {error.unit}" for error, mark in NOISY_MARKS.items())
-
-
 _NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
     "ablation_size": {"table.ablation.size": sizes_table},
     "ablation_davis346": {
         "davis346.largest": largest_with_noise,
-        "davis346.mark": marks_with_noise,
+        "davis346.mark": lambda _: ", ".join(f"{m:g} {of.unit}" for of, m in NOISY_MARKS.items()),
     },
 }
 
@@ -126,7 +120,7 @@ def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
             row |= {f"{error}_{name}": value for name, value in _of_error(ok[error]).items()}
         return row
 
-    return by_group(runs, [*varied, "method"], row, dropna=False)
+    return by_group(*varied, "method")(row)(runs)
 
 
 def _of_error(column: "pd.Series[Any]") -> dict[str, float]:

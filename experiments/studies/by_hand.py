@@ -44,7 +44,7 @@ from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
 from ssac.arrays import Array, Mask
 from ssac.camera import Rig, known_pose, with_deviations
-from ssac.cli.options import flag, named, number
+from ssac.cli.options import flag, number
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
@@ -67,7 +67,7 @@ class Draw:
     size_px: tuple[float, float] = (6.0, 120.0)  # log; in the middle of the flight
     focal_px: float = FOCAL_PX
     sensors: tuple[str, ...] = (IDEAL, IDEAL, *NOISY[:2])
-    far: float | None = None  # share of clocks up to an hour apart; None: as asked for
+    far: float = 0.5  # share of clocks up to an hour apart; the others are within 1 s
     skew_ppm: tuple[float, float] | None = None  # log, either way; None: normal, as of oscillators
 
 
@@ -118,8 +118,8 @@ class HandCell(FlightCell):
         }  # fmt: skip
 
 
-def drawn(base: int, flight: int, far: float = 0.5) -> HandCell:
-    """Draw a recording by its number; `far` is the share of offsets beyond 1 s in most kinds."""
+def drawn(base: int, flight: int) -> HandCell:
+    """Draw a recording by its number."""
     rng = np.random.default_rng((base, flight))
     kind = list(KINDS)[flight % len(KINDS)]
     draw = KINDS[kind]
@@ -129,7 +129,7 @@ def drawn(base: int, flight: int, far: float = 0.5) -> HandCell:
     size_px = round(_log_uniform(rng, *draw.size_px), 1)
     sensor = str(rng.choice(draw.sensors))
     near_s, far_s = rng.uniform(-1.0, 1.0), _log_uniform(rng, 1.0, 3600.0) * rng.choice((-1, 1))
-    is_far = rng.random() < (far if draw.far is None else draw.far)
+    is_far = rng.random() < draw.far
     sim = SimConfig(
         angle_deg=angle_deg,
         t_d_s=round(float(far_s if is_far else near_s), 6),
@@ -263,18 +263,12 @@ def hand_cells(
     recordings: Annotated[
         int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")
     ] = N_RECORDINGS,
-    kind: Annotated[str, named("NAME", "Those of these numbers that are of one kind.")] = "",
-    far: Annotated[float, number("Share of offsets beyond 1 s in most kinds.", 0, 1)] = 0.5,
     every: Annotated[bool, flag("every", "Try settings where the default is right too.")] = False,
 ) -> list[HandCell]:
     """List all settings on recordings that are drawn by their numbers."""
-    if kind and kind not in KINDS:
-        raise SsacError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
     return [
-        replace(one, setting=setting, every=every and setting != UNASKED)
-        for one in drawn_ones
-        if kind in ("", one.kind)
+        replace(drawn(base, one), setting=setting, every=every and setting != UNASKED)
+        for one in range(first, first + recordings)
         for setting in SETTINGS
     ]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import betaincinv, chdtr
 
-from experiments.drawing.style import Axes, Figure, legend_outside, method_looks, panels
+from experiments.drawing.style import Figure, legend_outside, method_looks, panels
 from experiments.lab.grid import named_config
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
@@ -127,32 +127,30 @@ def coverage_figure(runs: pd.DataFrame) -> Figure:
     """Draw observed against nominal coverage, with the sampling error if deviations were right."""
     runs, drawn = _with_clocks(runs), [one for one in QUANTITIES.values() if one.label]
     figure, grid = panels("How often the stated intervals hold the truth", 3.4, columns=len(drawn))
+    nominal = np.linspace(0.0, 1.0, 101)
+    looks = method_looks(method_order(runs["method"]))
     for axes, quantity in zip(grid[0], drawn, strict=True):
-        _draw_panel(axes, runs, quantity)
+        most = 0
+        for method, look in looks.items():
+            values = quantity.normalised(runs[runs["method"] == method])
+            if len(values) == 0:
+                continue
+            observed = np.mean(confidence(values, quantity.parameters)[:, None] <= nominal, axis=0)
+            style = "--" if look.is_known else "-"
+            axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
+            most = max(most, len(values))
+        axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
+        if most:
+            half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
+            axes.fill_between(
+                100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
+                label=f"sampling error (95 %) of {most} runs",
+            )  # fmt: skip
+        axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
+        axes.set_ylabel("observed coverage [%]")
+        axes.set_title(quantity.label, fontsize=11)
     legend_outside(figure, 5)
     return figure
-
-
-def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
-    nominal, most = np.linspace(0.0, 1.0, 101), 0
-    for method, look in method_looks(method_order(runs["method"])).items():
-        values = quantity.normalised(runs[runs["method"] == method])
-        if len(values) == 0:
-            continue
-        observed = np.mean(confidence(values, quantity.parameters)[:, None] <= nominal, axis=0)
-        style = "--" if look.is_known else "-"
-        axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
-        most = max(most, len(values))
-    axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
-    if most:
-        half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
-        axes.fill_between(
-            100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
-            label=f"sampling error (95 %) of {most} runs",
-        )  # fmt: skip
-    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
-    axes.set_ylabel("observed coverage [%]")
-    axes.set_title(quantity.label, fontsize=11)
 
 
 def page_table(results: Results) -> str:
@@ -161,12 +159,15 @@ def page_table(results: Results) -> str:
     for method in METHODS:
         of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
         shares = (100 * of["coverage_95"]).map("{:.1f}".format)
-        t_d, others = of.loc["t_d"], (shares.get(one, "") for one in ("R", "t", "skew"))
-        sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
-        rms = f"{t_d['rms_normalised']:.2f}"
-        rows.append([f"`{method}`", shares["t_d"], sampling, *others, rms])
-    header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
-    return markdown_table([*header, "t_d: rms of error / deviation"], rows)
+        t_d = of.loc["t_d"].filter(like="coverage")
+        rows.append({
+            "method": f"`{method}`",
+            "t_d [%]": shares["t_d"],
+            "sampling [%]": "{coverage_95_low:.1f} to {coverage_95_high:.1f}".format(**100 * t_d),
+            **{f"{one} [%]": shares.get(one, "") for one in ("R", "t", "skew")},
+            "t_d: rms of error / deviation": f"{of.loc['t_d', 'rms_normalised']:.2f}",
+        })  # fmt: skip
+    return markdown_table(pd.DataFrame(rows))
 
 
 def below_the_mark(results: Results) -> str:

@@ -51,6 +51,7 @@ from ssac.geometry.epipolar import (
 from ssac.geometry.pose import pose_jacobian
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.tangency import tangent_times, tangents_under
+from ssac.pipeline.registry import METHODS
 from ssac.search.two_views import TwoViews
 
 Flown = tuple[TwoViews, FlightTruth]  # the views that methods are given, and the ground truth
@@ -83,11 +84,6 @@ def load_flown(cells: Sequence[BoundCell], cache: Cache) -> Flown:
     return load_pair(folder).chain(cells[0].estimator).views(), load_truth(folder)
 
 
-def bound_row(cell: BoundCell, flown: Flown) -> BoundRow:
-    """Find the bound of one method."""
-    return method_bound(cell.method, *flown)
-
-
 def bound_cells() -> list[BoundCell]:
     """List every method that has a bound, on every flight of the tables, whatever its offset."""
     cells: dict[tuple[Any, ...], BoundCell] = {}
@@ -107,21 +103,18 @@ def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame
     return in_order(both, KEY)
 
 
-def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:
+@by_group(*CELL)
+def efficiency_table(part: pd.DataFrame) -> dict[str, Any]:
     """Sum up `runs_beside_bounds` by cell and method: root mean squares, and their ratios."""
-
-    def row(part: pd.DataFrame) -> dict[str, Any]:
-        row: dict[str, Any] = {"n_runs": len(part)}
-        row |= {name: part[name].mean() for name in ("sigma_px", "n_samples")}
-        for error in ERRORS.values():
-            name, unit = error.parameter, error.unit
-            columns = [f"{name}_bound_{unit}", error.column]
-            bound, rms = np.sqrt((part[columns] ** 2).mean(skipna=False))
-            row |= {f"{name}_bound_{unit}": bound, f"{name}_rms_{unit}": rms}
-            row[f"{name}_efficiency"] = bound / rms if rms > 0.0 else np.nan
-        return row
-
-    return by_group(beside, CELL, row)
+    row: dict[str, Any] = {"n_runs": len(part)}
+    row |= {name: part[name].mean() for name in ("sigma_px", "n_samples")}
+    for error in ERRORS.values():
+        name, unit = error.parameter, error.unit
+        columns = [f"{name}_bound_{unit}", error.column]
+        bound, rms = np.sqrt((part[columns] ** 2).mean(skipna=False))
+        row |= {f"{name}_bound_{unit}": bound, f"{name}_rms_{unit}": rms}
+        row[f"{name}_efficiency"] = bound / rms if rms > 0.0 else np.nan
+    return row
 
 
 def summary(results: Results) -> pd.DataFrame:
@@ -135,28 +128,20 @@ def summary(results: Results) -> pd.DataFrame:
 _MAX_CONDITION = 1e14  # of the information; beyond it a parameter is unobservable
 
 
-@dataclass(frozen=True)
-class Bound:
-    """Least root mean square errors; infinite if the motion leaves a parameter unobservable."""
+def cramer_rao_bound(information: Array, pose_is_known: bool = False) -> tuple[float, float, float]:
+    """Return the least root mean square errors of t_d [s], R and t [rad] for a Fisher information.
 
-    t_d_s: float
-    R_rad: float  # of the angle of R_est' R_true; NaN where the pose is given
-    t_rad: float  # of the angle between the translation directions; NaN likewise
-
-
-def cramer_rao_bound(information: Array) -> Bound:
-    """Return the bound for unknown offset and pose, from the Fisher information (6, 6)."""
+    They are infinite if the motion leaves a parameter unobservable. Those of the pose are of the
+    angles of R_est' R_true and between the translation directions, and NaN where it is known.
+    """
+    if pose_is_known:
+        with np.errstate(divide="ignore"):
+            return float(1.0 / np.sqrt(information[0, 0])), np.nan, np.nan
     if not np.linalg.cond(information) < _MAX_CONDITION:
-        return Bound(np.inf, np.inf, np.inf)
+        return np.inf, np.inf, np.inf
     variances = np.diag(np.linalg.inv(information))
-    R_rad, t_rad = np.sqrt(np.sum(variances[1:4])), np.sqrt(np.sum(variances[4:]))
-    return Bound(float(np.sqrt(variances[0])), float(R_rad), float(t_rad))
-
-
-def known_pose_bound(information: Array) -> Bound:
-    """Return the bound of the offset for a known pose, from the same information."""
-    with np.errstate(divide="ignore"):
-        return Bound(float(1.0 / np.sqrt(information[0, 0])), np.nan, np.nan)
+    R_rad, t_rad = np.sqrt(variances[1:4].sum()), np.sqrt(variances[4:].sum())
+    return float(np.sqrt(variances[0])), float(R_rad), float(t_rad)
 
 
 def fisher_information(
@@ -193,9 +178,10 @@ def seen(truth: FlightTruth, camera: int, K: Array, times_s: Array) -> tuple[Arr
     return p_px, (rates[:, :2] - p_px * rates[:, 2:]) / points[:, 2:]
 
 
-def method_bound(method: str, views: TwoViews, truth: FlightTruth, t_d_s: float = 0.0) -> BoundRow:
-    """Give the bound of a method of SAMPLES on views whose rig has the true extrinsics."""
-    rig, samples = views.rig, SAMPLES[method](views, t_d_s)
+def bound_row(cell: BoundCell, flown: Flown, t_d_s: float = 0.0) -> BoundRow:
+    """Find the bound of a method on views whose rig has the true extrinsics."""
+    views, truth = flown
+    rig, samples = views.rig, SAMPLES[cell.method](views, t_d_s)
     R, t = known_pose(rig)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
     distances_px = sampson_distance(F, samples.p1_px, samples.p2_px)
@@ -204,10 +190,9 @@ def method_bound(method: str, views: TwoViews, truth: FlightTruth, t_d_s: float 
     p2_px, v2_px_s = seen(truth, 1, rig.cam2.K, samples.times_s)
     noise_px = sigma_px / samples.weights
     information = fisher_information(p1_px, p2_px, v2_px_s, R, t, rig, noise_px)
-    least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
-    bound = least(information)
-    pose_deg = np.rad2deg([bound.R_rad, bound.t_rad]).tolist()
-    return BoundRow("ok", "", sigma_px, len(samples.times_s), 1e3 * bound.t_d_s, *pose_deg)
+    bound_s, *pose_rad = cramer_rao_bound(information, METHODS[cell.method].needs_extrinsics)
+    pose_deg = np.rad2deg(pose_rad).tolist()
+    return BoundRow("ok", "", sigma_px, len(samples.times_s), 1e3 * bound_s, *pose_deg)
 
 
 def mean_samples(views: TwoViews, t_d_s: float) -> WeighedPairs:
@@ -238,8 +223,6 @@ SAMPLES: Mapping[str, Callable[[TwoViews, float], WeighedPairs]] = {
     "tangency-known": tangent_samples,
 }
 """Samples of the methods that have a bound. The others use no positions, or no F."""
-
-KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
 
 # Range over the cells of the efficiency of t_d, for white noise.
 _SHARE = partial(quoted_of, "efficiency", "t_d_efficiency", "{low:.0f} to {high:.0f} %", 100.0)

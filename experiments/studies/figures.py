@@ -15,7 +15,7 @@ import typer
 from experiments.drawing.style import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
-from experiments.lab.command import CacheOption, OutOption
+from experiments.lab.command import CacheOption, OutOption, chosen
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import provenance, provenance_file
 from experiments.lab.results import PROVENANCE, File, Results, save_files
@@ -95,16 +95,17 @@ def figures_command(
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all figures that follow from the CSVs, anew."""
     start = time.perf_counter()
-    chosen = choose(names or ())
+    known = drawings()
+    drawn = chosen(names or known, known, "figure")
 
     def files() -> Iterator[File]:
-        for made in chosen.values():
+        for made in drawn:
             folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
             try:
                 yield made.file, made.bytes_of(Results(out), *folders)
             except SsacError as error:
                 raise SsacError(f"{made.file}: {error}") from error
-        filmed = [made for made in _OF_RECORDINGS if made in chosen.values()]
+        filmed = [made for made in _OF_RECORDINGS if made in drawn]
         # Studies write the provenance of the others; that of all of these outlives one drawn anew.
         is_there = (out / f"figures{PROVENANCE}").exists()
         if filmed and (len(filmed) == len(_OF_RECORDINGS) or not is_there):
@@ -114,15 +115,6 @@ def figures_command(
 
     for path in save_files(out, files()):
         typer.echo(f"written to {path}")
-
-
-def choose(names: Sequence[str]) -> dict[str, Made]:
-    """Look up figures; all of them when none is named. SsacError for an unknown name."""
-    known = drawings()
-    for name in names:
-        if name not in known:
-            raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(known)}")
-    return {name: known[name] for name in names or known}
 
 
 STUDIES = (

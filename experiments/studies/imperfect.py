@@ -160,18 +160,15 @@ def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
     the stated intervals that hold the truth.
     """
     kinds = {ALL: runs} | dict(list(runs.groupby("kind", sort=False)))
-    rows = [
-        {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
-        for kind, part in kinds.items()
-        for method in method_order(part["method"])
-    ]
+    rows = []
+    for kind, of_kind in kinds.items():
+        for method in method_order(of_kind["method"]):
+            part = of_kind[of_kind["method"] == method]
+            posed = {"pose_given": int(part["pose_given"].astype(bool).sum())}
+            shares, wrong = held(part, HELD, as_shares=True)
+            row = {"kind": kind, "method": method, **answers(part), **posed, **shares}
+            rows.append({**row, "confident_wrong": int(wrong.sum())})
     return pd.DataFrame(rows)
-
-
-def _counts(runs: pd.DataFrame) -> dict[str, Any]:
-    posed = {"pose_given": int(runs["pose_given"].astype(bool).sum())}
-    shares, wrong = held(runs, HELD, as_shares=True)
-    return answers(runs) | posed | shares | {"confident_wrong": int(wrong.sum())}
 
 
 def answers(runs: pd.DataFrame) -> dict[str, Any]:

@@ -116,26 +116,23 @@ def judged(estimate: Estimate, case: OpenCase) -> RefusalRow:
     )
 
 
-def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
+@by_group("kind", "method")
+def refusal_table(group: pd.DataFrame) -> dict[str, Any]:
     """Count what each method says of each kind.
 
     `truth_among_offsets` is how often the true offset is the one given or one of the alternatives;
     the worst errors are of what was given: of t_d, and of any of t_d, R and t over its deviation.
     """
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        given = group[group["offset_given"]]
-        return {
-            "runs": len(group),
-            "statuses": counted(group["status"].value_counts()),
-            "offset_given": len(given),
-            **group[["pose_given", "truth_among_offsets"]].sum(),
-            "t_d_error_ms_worst": given["t_d_error_ms"].max(),
-            "error_sigmas_worst": given["error_sigmas"].max(),
-            "confident_wrong": group["confident_wrong"].sum(),
-        }
-
-    return by_group(runs, ("kind", "method"), row)
+    given = group[group["offset_given"]]
+    return {
+        "runs": len(group),
+        "statuses": counted(group["status"].value_counts()),
+        "offset_given": len(given),
+        **group[["pose_given", "truth_among_offsets"]].sum(),
+        "t_d_error_ms_worst": given["t_d_error_ms"].max(),
+        "error_sigmas_worst": given["error_sigmas"].max(),
+        "confident_wrong": group["confident_wrong"].sum(),
+    }
 
 
 # --- Whether refusals name their causes, and whether their advice works ---
@@ -260,27 +257,24 @@ def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
     return estimate, replace(row, is_right=is_right, is_named=bool(names))
 
 
-def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:
+@by_group("kind", of_all=ALL)
+def reasons_table(group: pd.DataFrame) -> dict[str, Any]:
     """Count by cause the refusals and answers, and how often advice works.
 
     `named` are refusals that name the cause, `right` and `wrong` what was answered in spite of it,
     offsets without a pose among them. `advised` are refusals with an advice, and `works` those of
     them that following it mended.
     """
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        unnamed = group[~group["is_named"]]
-        return {
-            "recordings": len(group),
-            "named": len(group) - len(unnamed),
-            "right": unnamed["is_right"].sum(),
-            "wrong": (group["offset_given"] & ~group["is_right"]).sum(),
-            "advised": (group["advice"].fillna("") != "").sum(),
-            "works": group["works"].sum(),
-            "not_named": counted(unnamed["status"].value_counts()),
-        }
-
-    return by_group(pd.concat([runs.assign(kind=ALL), runs]), ("kind",), row)
+    unnamed = group[~group["is_named"]]
+    return {
+        "recordings": len(group),
+        "named": len(group) - len(unnamed),
+        "right": unnamed["is_right"].sum(),
+        "wrong": (group["offset_given"] & ~group["is_right"]).sum(),
+        "advised": (group["advice"].fillna("") != "").sum(),
+        "works": group["works"].sum(),
+        "not_named": counted(unnamed["status"].value_counts()),
+    }
 
 
 def share(results: Results, columns: Sequence[str], of: str) -> str:

@@ -15,13 +15,13 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cell import CRASHED, Measure
+from experiments.lab.grid import changed
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted, records, shown_table, statistics
 from experiments.paper.esim import ANGLES_DEG
-from experiments.scenes.options import changed
 from experiments.studies import imperfect
 from experiments.studies.coverage import QUANTITIES, Quantity
 from experiments.worlds import spoilt

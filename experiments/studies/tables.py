@@ -10,18 +10,18 @@ import pandas as pd
 from experiments.drawing.errors import beyond_figure, error_figure, success_figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import command_of
-from experiments.lab.grid import Cell
+from experiments.lab.grid import Cell, changed
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Check, Made, Runs, Study
-from experiments.lab.summary import answered, digits, listed, markdown_table, records
-from experiments.lab.verify import scored_checks
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.summary import answered, digits, listed, markdown_table
+from experiments.lab.verify import no_row, scored_checks
 from experiments.paper import comparison as compared
 from experiments.paper import esim
 from experiments.paper.comparison import PUBLISHED_ERRORS, load_published
 from experiments.paper.esim import DURATIONS_S, ERRORS, TABLES, Quantity, table_cells
 from experiments.paper.page import results_page
-from experiments.scenes.options import OPTIONS, changed
+from experiments.scenes.options import OPTIONS
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
@@ -38,7 +38,13 @@ def cells(
 ) -> list[Cell]:
     """List every run of the tables, with the columns that tell the runs apart there."""
     drawn_by = {"sim.render.renderer": renderer, "sim.render.check": check}
-    return [changed(cell, drawn_by | {"parameters": esim.place_of(cell)}) for cell in table_cells()]
+    return [
+        changed(cell, {**drawn_by, "parameters": {
+            "duration_s": cell.sim.spline.duration_s, "angle_deg": cell.sim.angle_deg,
+            "t_d_ms": round(1e3 * cell.t_d_s, 6),
+        }})
+        for cell in table_cells()
+    ]  # fmt: skip
 
 
 # --- What is made of the runs ---
@@ -78,9 +84,7 @@ def made_of_runs(file: str, make: Callable[[pd.DataFrame], Any]) -> Made:
 # --- What must hold of any runs, whatever the methods find ---
 
 
-def _impossible(runs: pd.DataFrame) -> "pd.Series[bool]":
-    is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS) | runs["t_d_estimate_ms"].isna()
-    return is_so & (runs["status"] == "ok")
+_IMPOSSIBLE = f"not 0 <= t_d_error_ms <= {_SEARCH_MS} or t_d_estimate_ms != t_d_estimate_ms"
 
 
 def _poses_at_times(results: Results) -> list[str]:
@@ -89,19 +93,9 @@ def _poses_at_times(results: Results) -> list[str]:
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
-def _none(what: str, is_one: Callable[[pd.DataFrame], "pd.Series[bool]"]) -> Check:
-    """Declare a check that no run fulfils a condition."""
-
-    def faults(results: Results) -> list[str]:
-        runs = results.table("runs")
-        return [esim.describe(row) for row in records(runs[is_one(runs)])]
-
-    return what, faults
-
-
 CHECKS = (
-    _none("no run crashed", lambda runs: runs["status"] == CRASHED),
-    _none("errors are possible ones", _impossible),
+    ("no run crashed", no_row("runs", f"status == '{CRASHED}'")),
+    ("errors are possible ones", no_row("runs", f"status == 'ok' and ({_IMPOSSIBLE})")),
     ("a method gives a pose always or never", _poses_at_times),
     *scored_checks("runs"),
 )
@@ -122,12 +116,6 @@ def verdicts(results: Results, quantity: str) -> str:
     return f"of {len(rows)} cells {listed(words)}"
 
 
-def paper_size(results: Results) -> str:
-    """Say in how many cells the t_d error of `ssac` is of the paper's size or better."""
-    rows = results.rows("comparison", quantity="ssac_t_d_error_ms")
-    return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
-
-
 def ratio(results: Results, form: str, quantity: str, duration_s: float) -> str:
     """Give the ratio of our geometric mean over a table's cells to the paper's, or its interval."""
     row = results.one("comparison_summary", quantity=quantity, duration_s=duration_s)
@@ -139,48 +127,40 @@ def cell_means(results: Results, method: str, error: str) -> list[float]:
     return [v for name in TABLES for v in results.column(name, f"{method}_{error}_mean")]
 
 
-def mark_met(results: Results, error: Quantity) -> str:
-    """Say in how many cells the mean error of `tangency` is at most its mark."""
-    means = cell_means(results, "tangency", error.column)
-    return f"{sum(mean <= error.mark for mean in means)} of {len(means)} cells"
-
-
-def largest(results: Results, error: Quantity) -> str:
-    """Say what the largest mean error of `tangency` in a cell is."""
-    return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
-
-
-def share_of_papers(results: Results, error: Quantity) -> str:
-    """Give the mean error of `tangency` over that of the paper's SSAC, and its most in a cell."""
+def of_tangency(results: Results, error: Quantity, form: str) -> str:
+    """Say how the mean errors of `tangency` compare with their mark and with the paper's SSAC."""
     papers = results.column("comparison", "published_mean", quantity=f"ssac_{error.column}")
     ours = np.array(cell_means(results, "tangency", error.column))  # in the same order
-    return f"{ours.mean() / papers.mean():.2f} (at most {(ours / papers).max():.2f})"
-
-
-def tables_answered(results: Results) -> str:
-    """Say how many runs of the tables gave an estimate."""
-    runs = results.table("runs")
-    return f"{len(answered(runs))} of {len(runs)} runs"
+    return form.format(
+        met=np.sum(ours <= error.mark), cells=len(ours), largest=ours.max(), unit=error.unit,
+        share=ours.mean() / papers.mean(), most=(ours / papers).max(),
+    )  # fmt: skip
 
 
 def methods_table(results: Results) -> str:
     """Lay out the range of each method's mean errors over the cells of both tables."""
     rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
-        ranges = []
-        for error in ERRORS:
+        row = {"method": f"`{method}`"}
+        for error, quantity in ERRORS.items():
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
             # R and t of methods with a known pose are those that they were given
             is_given = method.endswith("-known") and error != esim.T_D_ERROR.column
             means = np.array(cell_means(results, method, error) if has_it and not is_given else [])
             known = means[np.isfinite(means)]
-            ranges.append(f"{digits(known.min())} to {digits(known.max())}" if len(known) else "")
-        rows.append([f"`{method}`", *ranges])
-    return markdown_table(["method", *(error.heading for error in ERRORS.values())], rows)
+            span = f"{digits(known.min())} to {digits(known.max())}" if len(known) else ""
+            row[quantity.heading] = span
+        rows.append(row)
+    return markdown_table(pd.DataFrame(rows))
 
 
 NUMBERS: Mapping[str, Callable[[Results], str]] = {
-    "paper.size": paper_size,
+    "paper.size": lambda of: "{} of {} cells".format(
+        (rows := of.rows("comparison", quantity=PUBLISHED["ssac.t_d"]))["paper_size_or_better"]
+        .eq("yes")
+        .sum(),
+        len(rows),
+    ),
     **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
     **{
         f"paper.{what}.{q}.{d:g}": partial(ratio, form=form, quantity=PUBLISHED[q], duration_s=d)
@@ -188,10 +168,16 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
         for q in ("ssac.t_d", "ssac.R", "ssac.t")
         for d in DURATIONS_S
     },
-    "tables.runs": tables_answered,
-    **{f"tables.mark.{of.symbol}": partial(mark_met, error=of) for of in ERRORS.values()},
-    **{f"tables.largest.{of.symbol}": partial(largest, error=of) for of in ERRORS.values()},
-    **{f"paper.share.{of.symbol}": partial(share_of_papers, error=of) for of in ERRORS.values()},
+    "tables.runs": lambda of: f"{len(answered(of.table('runs')))} of {len(of.table('runs'))} runs",
+    **{
+        f"{name}.{error.symbol}": partial(of_tangency, error=error, form=form)
+        for name, form in (
+            ("tables.mark", "{met} of {cells} cells"),
+            ("tables.largest", "{largest:.3f} {unit}"),
+            ("paper.share", "{share:.2f} (at most {most:.2f})"),
+        )
+        for error in ERRORS.values()
+    },
     "table.methods": methods_table,
 }
 

@@ -89,6 +89,9 @@ VARIANTS = {
     "a sample every 40 ms": TangencyRules(step_s=0.040, outline=OutlineRules(smoothing_s=0.080)),
 }
 
+STARTED: dict[str, TangencyRules | None] = {JOINT: None, **VARIANTS}
+"""The joint refinement, and all that start from it."""
+
 
 @dataclass(frozen=True)
 class VariantCell(FlightCell):
@@ -124,12 +127,6 @@ def flights() -> Iterator[tuple[SimConfig, int, int]]:
             yield sim, flight, seed
 
 
-def variant_cells() -> list[VariantCell]:
-    """List the joint refinement and every variant on each flight."""
-    variants: dict[str, TangencyRules | None] = {JOINT: None, **VARIANTS}
-    return [VariantCell(*one, *variant) for one in flights() for variant in variants.items()]
-
-
 def load_started(cells: Sequence[VariantCell], cache: Cache) -> tuple[Estimate, TwoViews, Rig]:
     """Run the joint refinement on a flight, from which all variants start."""
     pair = recorded_pair(cache, cells[0].sim, cells[0].seed)
@@ -154,19 +151,16 @@ def mean_errors(group: pd.DataFrame) -> dict[str, Any]:
     return {"runs": len(group), "failed": len(group) - len(good), **good[list(ERRORS)].mean()}
 
 
-def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
+@by_group("variant")
+def variant_means(group: pd.DataFrame) -> dict[str, Any]:
     """Mean errors of each variant, over all angles, and t_d's at the worst angle."""
-
-    def row(group: pd.DataFrame) -> dict[str, Any]:
-        good = answered(group)
-        return {
-            **mean_errors(group),
-            _WORST: good.groupby("angle_deg")[T_D_ERROR.column].mean().max(),
-            "t_d_bias_ms": good["t_d_bias_ms"].mean(),
-            "normalised_rms": float(np.sqrt(np.mean(np.square(good["normalised"])))),
-        }
-
-    return by_group(runs, ("variant",), row)
+    good = answered(group)
+    return {
+        **mean_errors(group),
+        _WORST: good.groupby("angle_deg")[T_D_ERROR.column].mean().max(),
+        "t_d_bias_ms": good["t_d_bias_ms"].mean(),
+        "normalised_rms": float(np.sqrt(np.mean(np.square(good["normalised"])))),
+    }
 
 
 def study_figure(means: pd.DataFrame) -> Figure:
@@ -287,11 +281,6 @@ class FilmedPair(NamedTuple):
         }
 
 
-def cause_cells() -> list[CauseCell]:
-    """List each of CAUSES on each flight."""
-    return [CauseCell(*one, cause) for one in flights() for cause in CAUSES]
-
-
 def load_filmed(cells: Sequence[CauseCell], cache: Cache) -> FilmedPair:
     """Load a recording, and rebuild its scene."""
     sim, seed = cells[0].sim, cells[0].seed
@@ -313,7 +302,7 @@ def cause_row(cell: CauseCell, filmed_pair: FilmedPair) -> ErrorRow:
 
 def cause_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Sum up the remaining errors, and the share of t_d's error that each truth removes."""
-    table = by_group(runs, ("cause",), mean_errors)
+    table = by_group("cause")(mean_errors)(runs)
     whole_ms = float(table.loc[table["cause"] == AS_IT_IS, T_D_ERROR.column].iloc[0])
     return table.assign(share_of_t_d=1.0 - table[T_D_ERROR.column] / whole_ms)
 
@@ -336,7 +325,7 @@ STUDIES = (
     Study(
         "tangency",
         "Variants of the method tangency",
-        variant_cells,
+        lambda: [VariantCell(*one, *of) for one in flights() for of in STARTED.items()],
         Measure(load_started, variant_row, VariantRow),
         Runs("tangency_runs.csv", ("angle_deg", "flight", "variant")),
         (made_of("tangency.csv", variant_means, "tangency_runs"),
@@ -346,7 +335,7 @@ STUDIES = (
     Study(
         "oracle",
         "What limits the method tangency: the error with parts of the truth",
-        cause_cells,
+        lambda: [CauseCell(*one, cause) for one in flights() for cause in CAUSES],
         Measure(load_filmed, cause_row, ErrorRow),
         Runs("oracle_runs.csv", ("angle_deg", "flight", "cause")),
         (made_of("oracle.csv", cause_table, "oracle_runs"),

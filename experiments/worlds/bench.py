@@ -15,10 +15,9 @@ from typing import Annotated, Any
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
-from experiments.lab.grid import Cell, flight_seed
+from experiments.lab.grid import Cell, changed, flight_seed
 from experiments.lab.recorded import Flown, Pair, load_pair
 from experiments.lab.scored import Row, frames_of, scored_row
-from experiments.scenes.options import changed
 from sim.disturb import merged
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.render.config import RenderConfig, SamplingConfig
@@ -121,15 +120,8 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
 """By name: the fields of a `SetUp` that differ from the ideal bench, with their values."""
 
 
-def only(name: str) -> str:
-    """Name the kind that has one imperfection."""
-    return f"only {name}"
-
-
-def all_but(name: str) -> str:
-    """Name the kind that has all but one."""
-    return f"all but {name}"
-
+only, all_but = "only {}".format, "all but {}".format
+"""Names of the kinds that have one imperfection, or all but one."""
 
 KINDS: Mapping[str, Collection[str]] = {
     NONE: (),

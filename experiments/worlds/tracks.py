@@ -47,18 +47,9 @@ One frame more or less in 5 s, at 30 a second, is 6700 ppm."""
 
 RTK_S = 0.2  # time between two samples of RTK; data set 4 numbers them, and some are missing
 
-PAIR_COLUMNS = (
-    "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
-    "t_ref_s", "skew_ppm", "skew_std_ppm", "most_stray_ms", "readout_1_ms",
-    "readout_1_std_ms", "readout_2_ms", "readout_2_std_ms", "by_readouts_ms", "global_std_ms",
-    "residual_px", "n_samples", "reason", "from_truth_ms", "seconds", "closure_ms",
-)  # fmt: skip
+KEY = ["data_set", "camera_1", "camera_2"]  # columns that name a pair
 TRIPLE_COLUMNS = ("data_set", "cameras", "closure_ms")
-STRAY_COLUMNS = ("data_set", "camera_1", "camera_2", "t_s", "stray_ms", "std_ms")
-PATH_COLUMNS = (
-    "data_set", "cameras", "left_out", "rmse_m", "mean_m", "median_m", "max_m", "n_rtk", "coverage",
-    "shift_s", "rate_ppm", "scale_m", "most_from_truth_ms", "rms_px", "pairs_s", "network_s",
-)  # fmt: skip
+STRAY_COLUMNS = (*KEY, "t_s", "stray_ms", "std_ms")
 
 _NUMBERS = re.compile(r"^\|\s*\d+\s*\|(.*)\|\s*$")
 
@@ -208,7 +199,7 @@ def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
             for triple, s in found.items()
         ]
     return {
-        "real_pairs": pd.DataFrame(pairs, columns=PAIR_COLUMNS),
+        "real_pairs": pd.DataFrame(pairs),
         "real_triples": pd.DataFrame(triples, columns=TRIPLE_COLUMNS),
         "real_strays": pd.DataFrame(strays, columns=STRAY_COLUMNS),
     }
@@ -225,7 +216,7 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
     estimate, t_ref_s = result.estimate, _t_ref_s(result)
     from_truth_ms = one.off_truth_ms(pair, estimate.t_d_s, t_ref_s)
     return {
-        **dict(zip(PAIR_COLUMNS, (one.number, i, j), strict=False)),
+        **dict(zip(KEY, (one.number, i, j), strict=True)),
         "models": f"{one.cameras[i].model} {one.cameras[j].model}",
         "status": str(estimate.status),
         "clock": result.config.clock,
@@ -240,12 +231,12 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
             for k in (1, 2)
             for what, seconds in (("", estimate.readouts_s), ("std_", estimate.readouts_std_s))
         },
+        **_effect_of_readouts(result),
         "residual_px": estimate.d_avg_px,
         "n_samples": estimate.n_samples,
         "reason": estimate.reason,
         "from_truth_ms": from_truth_ms if estimate.has_offset else np.nan,
         "seconds": round(one.seconds[pair], 1),
-        **_effect_of_readouts(result),
     }
 
 
@@ -284,9 +275,11 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
         "data_set": one.number,
         "cameras": len(placed),
         "left_out": " ".join(answer.left_out),
-        **{name: figures[name] for name in PATH_COLUMNS if name in figures},
+        "rmse_m": figures["rmse_m"],
         "mean_m": float(np.mean(in_time.distances_m)),
+        **{name: figures[name] for name in ("median_m", "max_m")},
         "n_rtk": figures["n_samples"],
+        **{name: figures[name] for name in ("coverage", "shift_s", "rate_ppm")},
         "scale_m": figures["scale"],
         "most_from_truth_ms": _most_off_ms(one, answer),
         "rms_px": float(np.median([camera.rms_px for camera in placed])),

@@ -67,7 +67,7 @@ FILES = {
         ("study spread . . .", r"\.: no such file"),
         ("by-hand --kind odd", r"--kind: expected one of plain, .*, got 'odd'"),
         ("physical odd", "unknown part 'odd': use one of "),
-        ("figures fig3_preprocessing fig6", "unknown figure 'fig6': expected some of fig3"),
+        ("figures fig3_preprocessing fig6", "unknown figure 'fig6': use one of fig3"),
         ("ablate windows", r"unknown ablation 'windows': use one of .*window"),
         ("ablate typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
         ("sweep mesh.toml", r"drone\.obj"),

@@ -44,7 +44,6 @@ def test_slow_studies_are_drawn_from_only_if_asked_for():
     slow = {study.name for study in studies.values() if not study.again}
     assert "fidelity" in slow
     assert not slow & {study.name for study in sources_of(studies)}
-    assert slow <= {study.name for study in sources_of(studies, slow=True)}
     assert [one.name for one in sources_of(studies, only="fidelity")] == ["fidelity"]
     assert draw(sources_of(studies, only="renderers"), 9, 0) == []  # OpenGL drivers render unlike
     with pytest.raises(SsacError, match="--only: expected a study of squares, got cubes"):

@@ -29,7 +29,7 @@ def _sum(half):
 
 def _table(results):
     table = results.table("squares").astype(str)
-    return markdown_table(list(table), table.to_numpy().tolist())
+    return markdown_table(table)
 
 
 NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _table}

@@ -94,7 +94,9 @@ def test_correlation_methods_stand_beside_the_paper_by_angle():
 
 
 def test_numbers_stand_right_and_words_left():
-    text = markdown_table(["word", "number", "empty"], [["a", "-1.5", ""], ["b|c", "none", "2 s"]])
+    text = markdown_table(
+        pd.DataFrame({"word": ["a", "b|c"], "number": ["-1.5", "none"], "empty": ["", "2 s"]})
+    )
     assert text.splitlines() == [
         "| word | number | empty |",
         "| ---- | -----: | ----: |",

@@ -10,7 +10,7 @@ from experiments.lab.provenance import plain
 from experiments.lab.score import Truth
 from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
-from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
+from experiments.scenes.scene import SHOWN, scene_figures
 from sim.errors import SimError
 from sim.recording import SimConfig, simulate
 from sim.scene.trajectory import SplineConfig
@@ -60,15 +60,15 @@ def test_figures_are_those_of_the_truth():
     # drops windows, those of slow motion.
     centres = recording.truth.centres_px
     speeds = np.linalg.norm(np.gradient(centres, recording.truth.times_s, axis=1), axis=-1)
-    assert figures.speed_px_s == pytest.approx(np.nanmedian(speeds), rel=0.25)
-    assert 0 < figures.median_distance_px < figures.mean_distance_px < 2.0
-    assert figures.slope_px > 0.0
-    assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
+    assert figures["speed_px_s"] == pytest.approx(np.nanmedian(speeds), rel=0.25)
+    assert 0 < figures["median_distance_px"] < figures["mean_distance_px"] < 2.0
+    assert figures["slope_px"] > 0.0
+    assert figures["n_events"] == np.mean([len(camera.events) for camera in recording.cameras])
     # The figures do not depend on the time offset.
     assert scene_figures(simulate(replace(config, t_d_s=0.25), 0)) == figures
     # Nor does the width depend on noise, but for what denoising leaves or takes too much.
     noisy = simulate(replace(config, sensor=PRESETS["davis346"]), 0)
-    assert scene_figures(noisy).wide_px == pytest.approx(figures.wide_px, rel=0.2)
+    assert scene_figures(noisy)["wide_px"] == pytest.approx(figures["wide_px"], rel=0.2)
     # 5 events a camera make no valid sample.
     few = [replace(one, events=one.events[:: len(one.events) // 4]) for one in recording.cameras]
     with pytest.raises(SsacError, match="no figures: at no sample time do both cameras see"):
@@ -76,7 +76,10 @@ def test_figures_are_those_of_the_truth():
 
 
 def test_the_command_flies_what_it_is_told_and_shows_each_figure(monkeypatch, capsys):
-    figures, flown = SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6), []
+    names = ("speed_px_s", "n_valid", "n_samples", "mean_distance_px", "median_distance_px",
+             "slope_px", "narrow_px", "wide_px", "n_events")  # fmt: skip
+    numbers = (197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6)
+    figures, flown = dict(zip(names, numbers, strict=True)), []
     monkeypatch.setattr(scene, "simulate", lambda *of: flown.append(of))
     monkeypatch.setattr(scene, "scene_figures", lambda _: figures)
     scene.scene_command(seeds=2, first_seed=9100, drone="two-tone")

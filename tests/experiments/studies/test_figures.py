@@ -19,8 +19,6 @@ def test_all_figures_are_drawn_when_none_is_named() -> None:
     # It draws every picture of results/ but those of paths, which need the recordings.
     left = {path.stem for path in RESULTS.glob("*.png")} - {*all_of_them, "outdoor"}
     assert all(name.startswith("real_path") for name in left)
-    assert list(figures.choose([])) == all_of_them
-    assert list(figures.choose(["fig5_d_avg"])) == ["fig5_d_avg"]
 
 
 def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
@@ -32,7 +30,7 @@ def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
 def test_a_figure_that_is_drawn_anew_leaves_the_provenance_of_all(tmp_path, monkeypatch) -> None:
     every = {name: Made(f"{name}.png", lambda _: b"", lambda: ()) for name in ("one", "two")}
     monkeypatch.setattr(figures, "_OF_RECORDINGS", tuple(every.values()))
-    monkeypatch.setattr(figures, "choose", lambda of: {one: every[one] for one in of or every})
+    monkeypatch.setattr(figures, "drawings", lambda: every)
     written = set()
     for names in (None, ["one"]):
         figures.figures_command(names, tmp_path, tmp_path)

@@ -13,6 +13,7 @@ from experiments.worlds import tracks
 from ssac import Clock, Estimate, SsacError, load_rig, load_track
 from ssac.files.drone_tracking import import_data_set
 from ssac.network.graph import closures_s
+from tests.experiments.reported import RESULTS
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track
@@ -82,6 +83,7 @@ def run_pairs(data, work, numbers):
 def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
     tables = run_pairs(data, tmp_path, (2,))
     (row,) = tables[PAIRS].to_dict("records")
+    assert list(row) == (RESULTS / f"{PAIRS}.csv").read_text().splitlines()[0].split(",")
     assert row["status"] == "ok"
     # Labels are put on whole frames: +-0.13 frames of either camera, at most 10 ms together.
     assert abs(row["t_d_s"] - OFFSET_S) < 0.01

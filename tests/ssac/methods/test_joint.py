@@ -80,8 +80,9 @@ def cramer_rao(scene, sigma_px, n=400):
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
     t = scene.t / np.linalg.norm(scene.t)
-    bound = cramer_rao_bound(fisher_information(p1, p2, v2, scene.R, t, scene.rig, sigma_px))
-    return 1e3 * bound.t_d_s, *np.degrees([bound.R_rad, bound.t_rad])
+    of_flight = p1, p2, v2, scene.R, t, scene.rig
+    t_d_s, *pose_rad = cramer_rao_bound(fisher_information(*of_flight, sigma_px))
+    return 1e3 * t_d_s, *np.degrees(pose_rad)
 
 
 def test_zero_noise_and_a_wrong_start_give_the_truth():
