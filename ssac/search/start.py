@@ -14,14 +14,14 @@ from ssac.arrays import IntArray
 from ssac.clock import PPM
 from ssac.config import Config, Interval
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
-from ssac.events import US_PER_S, copied
+from ssac.events import US_PER_S
 from ssac.geometry.epipolar import epipolar_distance, robust_deviation
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import AllOffsetsRules
 from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets, width_of
 from ssac.search.offset_search import FINE_STEP_S, too_little_motion
 from ssac.search.two_views import PairsAt, TwoViews
-from ssac.track.clean import Clean, on_clock
+from ssac.track.clean import Clean
 from ssac.track.motion import PointMotion
 
 
@@ -72,20 +72,14 @@ class Start:
 
     def as_seen(self, cam2: Clean) -> Clean:
         """Return camera 2 on a clock without the guess's rate, equal to its own at the anchor."""
-        rate, anchor_s, track = self.guess.rate, self.anchor_s, cam2.track
+        rate, anchor_s, anchor_us = self.guess.rate, self.anchor_s, self.anchor_s * US_PER_S
         if rate == 1.0:
             return cam2
-        if track is not None:
-            times_s = anchor_s + (track.times_s - anchor_s) / rate
-            return replace(cam2, track=replace(track, times_s=times_s))
-        events, anchor_us = copied(cam2.events), anchor_s * US_PER_S
 
-        def seen_us(times_us: IntArray) -> IntArray:
+        def shown_us(times_us: IntArray) -> IntArray:
             return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
 
-        events["t"], gaps_us = seen_us(events["t"]), seen_us(cam2.gaps_us)
-        recorded = on_clock(cam2.recorded, seen_us)
-        return replace(cam2, events=events, gaps_us=gaps_us, recorded=recorded)
+        return cam2.on_clock(shown_us, lambda times_s: anchor_s + (times_s - anchor_s) / rate)
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
         """Convert an estimate to camera 2's own clock.

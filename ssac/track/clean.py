@@ -7,10 +7,10 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ssac.arrays import Events, IntArray, Mask
+from ssac.arrays import Array, Events, IntArray, Mask
 from ssac.camera import Camera, check_camera, same_camera
 from ssac.config import N_MIN, Cleaning
-from ssac.events import US_PER_S, check_events, copied, no_gaps
+from ssac.events import US_PER_S, check_events, no_gaps
 from ssac.points import check_track
 from ssac.rules import FaintRules, NoiseRules
 from ssac.track.denoise import Clutter, without_noise
@@ -72,28 +72,22 @@ class Clean(Observation):
             return self.events
         return None if self.recorded is None else self.recorded()
 
+    def on_clock(
+        self, shown_us: Callable[[IntArray], IntArray], shown_s: Callable[[Array], Array]
+    ) -> "Clean":
+        """Return the same on another clock, as of any observation, with an empty cache."""
+        read = self.recorded
+        return replace(
+            super().on_clock(shown_us, shown_s),
+            gaps_us=shown_us(self.gaps_us),
+            recorded=read and (lambda: Observation(read()).on_clock(shown_us, shown_s).events),
+        )
+
     def delayed(self, t_d_s: float) -> "Clean":
         """Return the same as if the clock had shown `t_d_s` [s] more; the cache is delayed too."""
         later, shift_us = super().delayed(t_d_s), round(t_d_s * US_PER_S)
-        recorded = on_clock(self.recorded, lambda times_us: times_us + shift_us)
-        later = replace(later, gaps_us=self.gaps_us + shift_us, recorded=recorded)
         later.kept.update({key: value.delayed(shift_us) for key, value in self.kept.items()})
         return later
-
-
-def on_clock(
-    recorded: Recorded | None, shown_us: Callable[[IntArray], IntArray]
-) -> Recorded | None:
-    """Wrap a function that returns events: `shown_us` maps their times [us] to other ones."""
-    if recorded is None:
-        return None
-
-    def shown() -> Events:
-        events = copied(recorded())
-        events["t"] = shown_us(events["t"])
-        return events
-
-    return shown
 
 
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:

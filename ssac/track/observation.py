@@ -1,12 +1,13 @@
 """One camera's recording in the camera's own clock, before any processing."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.arrays import Array, Events
+from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, check_event_array, copied
 from ssac.points import PointTrack
@@ -40,20 +41,26 @@ class Observation:
         start_us, end_us = self.events["t"][[0, -1]]
         return float(start_us) / US_PER_S, float(end_us) / US_PER_S
 
+    def on_clock(
+        self: Seen, shown_us: Callable[[IntArray], IntArray], shown_s: Callable[[Array], Array]
+    ) -> Seen:
+        """Return the observation on another clock, by what it shows at times [us] and [s]."""
+        events = copied(self.events)
+        events["t"] = shown_us(events["t"])
+        times_s, track = self.frame_times_s, self.track
+        if times_s is not None:
+            times_s = shown_s(times_s)
+        if track is not None:
+            track = replace(track, times_s=shown_s(track.times_s))
+        return replace(self, events=events, frame_times_s=times_s, track=track)
+
     def delayed(self: Seen, t_d_s: float) -> Seen:
         """Return the observation as if the camera's clock had shown `t_d_s` [s] more.
 
         Events have times in whole microseconds. The delay is rounded to these for all data alike.
         """
         shift_us = round(t_d_s * US_PER_S)
-        events = copied(self.events)
-        events["t"] += shift_us
-        times_s, track = self.frame_times_s, self.track
-        if times_s is not None:
-            times_s = times_s + shift_us / US_PER_S
-        if track is not None:
-            track = replace(track, times_s=track.times_s + shift_us / US_PER_S)
-        return replace(self, events=events, frame_times_s=times_s, track=track)
+        return self.on_clock(lambda t_us: t_us + shift_us, lambda t_s: t_s + shift_us / US_PER_S)
 
     def read(self, frames: str = "") -> "Observation":
         """Return the observation itself: it is in memory, with its frames if there are any."""
