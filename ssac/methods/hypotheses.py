@@ -154,16 +154,17 @@ class Choice:
 
         Beside a refined "ok" estimate: the homography's poses, where the path may lie in a plane.
         """
-        rules = self.views.rules.hypotheses
+        views, rules = self.views, self.views.rules.hypotheses
         if start.status == Status.OK:
-            return [] if self.views.pose_is_known else self._other_poses_of_a_plane(start)
+            return [] if views.pose_is_known else self._other_poses_of_a_plane(start)
         if start.status not in SETTLED_BY["joint"]:
             return []
-        if not self.views.pose_is_known and self.views.alone.are_straight:
+        if not views.pose_is_known and views.alone.are_straight:
             return []  # all positions lie on one epipolar line of each view: any pose fits
         if start.status == Status.AMBIGUOUS_OFFSET:
-            offsets_s = _offsets_of_valleys(start, self.views.rules)
-            if self._is_short(offsets_s[0]):
+            offsets_s = _offsets_of_valleys(start, views.rules)
+            least = min(views.config.min_swings, views.rules.search.min_swings_of_line)
+            if not views.pose_is_known and views.swings(views.pairs_at(offsets_s[0])) < least:
                 return []  # a solution would be chance; the start is refused already
         # F left the pose open, but known intrinsics may still determine it. A straight path, whose
         # offset has a deviation, has no hypotheses.
@@ -172,38 +173,28 @@ class Choice:
         else:
             return []
         plain = replace(start, status=Status.OK, reason="", alternatives_s=np.empty(0))
-        found, rig = [], self.views.rig
+        found = []
         for t_d_s in offsets_s:
-            if self.views.pose_is_known:
-                poses = [known_pose(rig)]
+            if views.pose_is_known:
+                poses = [known_pose(views.rig)]
             else:
-                points_px = self.views.pairs_at(t_d_s).points_px
-                poses = possible_poses(*points_px, rig, self.views.rules.search)
+                points_px = views.pairs_at(t_d_s).points_px
+                poses = possible_poses(*points_px, views.rig, views.rules.search)
             if start.status == Status.AMBIGUOUS_OFFSET or t_d_s != start.t_d_s:
                 poses = poses[: rules.max_poses]
             found += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
         return found
 
-    def _is_short(self, t_d_s: float) -> bool:
-        """Whether the path is too short to tell an offset together with a pose."""
-        views = self.views
-        if views.pose_is_known:
-            return False
-        least = min(views.config.min_swings, views.rules.search.min_swings_of_line)
-        return views.swings(views.pairs_at(t_d_s)) < least
-
     def _weighed(self, estimate: Estimate) -> list[Solution]:
         """Rate an estimate by sharp positions' trimmed mean distance; empty if they are too few."""
         views, rules = as_found(self.views, estimate), self.views.rules
         pairs = views.pairs_at(estimate.t_d_s)
-        track1, track2 = views.sharp_at(pairs.times_s, estimate.t_d_s)
-        good = track1.valid & track2.valid
-        if estimate.F is None or np.count_nonzero(good) < rules.search.min_pairs:
+        one, two = views.sharp_at(pairs.times_s, estimate.t_d_s)
+        if estimate.F is None or len(one.times_s) < rules.search.min_pairs:
             return []
-        p1, p2 = track1.positions_px[good], track2.positions_px[good]
-        distances = np.abs(sampson_distance(estimate.F, p1, p2))
+        distances = np.abs(sampson_distance(estimate.F, one.positions_px, two.positions_px))
         trimmed = np.sort(distances)[: max(1, int(rules.hypotheses.trimmed * len(distances)))]
-        object_px = float(np.median(np.hypot(track1.sizes_px[good], track2.sizes_px[good])))
+        object_px = float(np.median(np.hypot(one.sizes_px, two.sizes_px)))
         distance_px = estimate.d_avg_px if self.by_own_pairs else float(np.mean(trimmed))
         return [Solution(estimate, distance_px, object_px)]
 

@@ -124,16 +124,8 @@ def sharp_pairs(views: TwoViews, times_s: Array, t_d_s: float) -> tuple[WeighedP
 
     Pairs are weighed by the inverse of the images' size, whose median [px] is the second result.
     """
-    track1, track2 = views.sharp_at(times_s, t_d_s)
-    valid = track1.valid & track2.valid
-    sizes_px = np.hypot(track1.sizes_px[valid], track2.sizes_px[valid]) + 1e-12
+    one, two = views.sharp_at(times_s, t_d_s)
+    sizes_px = np.hypot(one.sizes_px, two.sizes_px) + 1e-12
     size_px = float(np.median(sizes_px)) if len(sizes_px) else 0.0
-    pairs = WeighedPairs(
-        track1.times_s[valid],
-        track1.positions_px[valid],
-        track2.positions_px[valid],
-        track2.velocities_px_s[valid],
-        size_px / sizes_px,
-        t_d_s,
-    )
-    return pairs, size_px
+    moving = one.times_s, one.positions_px, two.positions_px, two.velocities_px_s
+    return WeighedPairs(*moving, size_px / sizes_px, t_d_s), size_px

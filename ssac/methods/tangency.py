@@ -231,11 +231,12 @@ def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
     # Where few are, the views may show different parts of the object, whose offset no residual
     # tells from the true one, unless a body confirms it. Then half of the difference from the
     # start, which is the two offsets' deviation from their mean, adds to the offset's. In the dark,
-    # pixels lag besides, and the offset is at most as certain as the start's.
+    # as noise tells, pixels lag besides, and the offset is at most as certain as the start's.
     if found.status != Status.OK:
         return found
     rules, n_tangents = views.rules.tangency, 2 * len(tangent_times(views, found.t_d_s))
-    joined, is_dark = with_body(found, views), _is_dark(views)
+    joined = with_body(found, views)
+    is_dark = any(one.background_hz >= rules.dark_hz for one in views.cleans or ())
     few = n_tangents * (rules.few_seen_in_dark if is_dark else rules.few_seen)
     if joined.t_d_s != found.t_d_s or found.n_samples >= few:
         share = joined.n_samples / n_tangents
@@ -246,11 +247,6 @@ def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
     if is_dark and start.t_d_std_s > joined.t_d_std_s:
         hidden += start.t_d_std_s**2 - joined.t_d_std_s**2
     return widened(joined, hidden)
-
-
-def _is_dark(views: TwoViews) -> bool:
-    """Whether a pixel makes as much noise as in the dark, where its bandwidth is low."""
-    return any(one.background_hz >= views.rules.tangency.dark_hz for one in views.cleans or ())
 
 
 def with_body(found: Estimate, views: TwoViews) -> Estimate:
@@ -323,19 +319,18 @@ class _OfTangents(Refinement):
 
     def _joined(self, pairs: WeighedPairs, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
         assert self.body is not None
-        times_s = self.times_s, seen.on_clock_2(self.times_s, parameters.t_d_s)
-        one, two = (of.sharp_at(at) for of, at in zip(self.body, times_s, strict=True))
-        k = one.valid & two.valid
-        weights = np.full(int(k.sum()), 1.0 / self.rules.tangency.body_error)
+        of_body = replace(seen, motion1=self.body[0], motion2=self.body[1])
+        one, two = of_body.sharp_at(self.times_s, parameters.t_d_s)
+        weights = np.full(len(one.times_s), 1.0 / self.rules.tangency.body_error)
         weights = np.concatenate([pairs.weights, weights])
         return WeighedPairs(
-            np.concatenate([pairs.times_s, times_s[0][k]]),
-            np.concatenate([pairs.p1_px, one.positions_px[k]]),
-            np.concatenate([pairs.p2_px, two.positions_px[k]]),
-            np.concatenate([pairs.v2_px_s, two.velocities_px_s[k]]),
+            np.concatenate([pairs.times_s, one.times_s]),
+            np.concatenate([pairs.p1_px, one.positions_px]),
+            np.concatenate([pairs.p2_px, two.positions_px]),
+            np.concatenate([pairs.v2_px_s, two.velocities_px_s]),
             weights / np.median(weights),
             pairs.t_d_s,
-            np.repeat([0, 1], [len(pairs.times_s), int(k.sum())]),
+            np.repeat([0, 1], [len(pairs.times_s), len(one.times_s)]),
         )
 
     def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:

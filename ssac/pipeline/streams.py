@@ -269,8 +269,7 @@ def scene_of_two(answer: Answer) -> dict[str, Any] | None:
         return None
     times_s = np.linspace(*views.common_s(estimate.t_d_s), _MOST_POINTS, dtype=np.float64)
     one, other = views.sharp_at(times_s, estimate.t_d_s)
-    seen = one.valid & other.valid
-    times_s, p1, p2 = times_s[seen], one.positions_px[seen], other.positions_px[seen]
+    times_s, p1, p2 = one.times_s, one.positions_px, other.positions_px
     rays = [rays_of(camera.K, p) for camera, p in zip(answer.cameras, (p1, p2), strict=True)]
     depths_1, depths_2 = depths(R, t, *rays)
     ahead = (depths_1 > 0.0) & (depths_2 > 0.0)

@@ -1,6 +1,6 @@
 """The track of the object through the events of one camera."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,8 +72,9 @@ def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> Sh
     found = silhouettes(*seen, *given, sharp.sizes_px, rules.silhouette)
     if found is None:
         return ShapedTrack(track, None)
-    points = np.where(found.known[:, None], found.centres_px, track.points_px)
-    shares = np.where(found.known, rules.track.centre_sizes, rules.track.mean_sizes)
+    known = np.isfinite(found.centres_px)
+    points = np.where(known, found.centres_px, track.points_px)
+    shares = np.where(known[:, 0], rules.track.centre_sizes, rules.track.mean_sizes)
     track = replace(track, points_px=points, sigmas_px=_sigmas_px(sharp, shares, rules.track))
     return ShapedTrack(track, found.spreads_px2, found.images)
 
@@ -93,7 +94,7 @@ def _followed(clean: Clean, config: Config) -> tuple[PointTrack, SharpTrack]:
             f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(clean.events)} "
             "events are left after denoising; record closer to it, or give a smaller --n-min"
         )
-    kept = SharpTrack(**{one.name: getattr(sharp, one.name)[good] for one in fields(sharp)})
+    kept = sharp.of(good)
     sigmas = _sigmas_px(kept, config.rules.track.mean_sizes, config.rules.track)
     return PointTrack(kept.times_s, points[good], sigmas), kept
 

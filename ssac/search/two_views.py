@@ -161,9 +161,10 @@ class TwoViews:
         return PairsAt(t_d_s, pairs.times_s[0, pairs.valid[0]], *pairs.valid_positions(0))
 
     def sharp_at(self, times_s: Array, t_d_s: float) -> tuple[SharpTrack, SharpTrack]:
-        """Both views' sharp positions at times (n,) [s] of camera 1's clock."""
-        on_clock_2 = self.on_clock_2(times_s, t_d_s)
-        return self.motion1.sharp_at(times_s), self.motion2.sharp_at(on_clock_2)
+        """Both views' sharp positions at those of times (n,) [s], camera 1's, that both have."""
+        one = self.motion1.sharp_at(times_s)
+        other = self.motion2.sharp_at(self.on_clock_2(times_s, t_d_s))
+        return one.of(one.valid & other.valid), other.of(one.valid & other.valid)
 
     def swings(self, pairs: PairsAt) -> float:
         """How many times the object goes to and fro while both see it: the lesser of two counts."""

@@ -8,7 +8,7 @@ A track of points is sampled alike, so that no method need know which of the two
 parabolas replace means over windows, and noise and image width set the object's size.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -49,6 +49,10 @@ class SharpTrack(Track):
 
     velocities_px_s: Array  # (..., 2)
     sizes_px: Array  # (...,) root mean square distance of the image from its position
+
+    def of(self, chosen: Mask) -> "SharpTrack":
+        """Return only the chosen samples."""
+        return SharpTrack(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
 
 def motion_of(clean: Clean, how: Windows) -> "Motion":
