@@ -32,7 +32,15 @@ Use = tuple[str, str]  # a module, and the name that is imported from it; "" for
 
 _ALWAYS = ""  # key of statements that count as soon as anything of their module does, or of it all
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files that are no data
-_HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager", "with_options"}
+_HARMLESS = {
+    "dataclass",
+    "njit",
+    "cache",
+    "lru_cache",
+    "contextmanager",
+    "with_options",
+    "by_group",
+}
 """Decorators that register nothing elsewhere."""
 
 _DEFINING = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
