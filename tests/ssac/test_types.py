@@ -1,7 +1,7 @@
 """Tests the types that all stages share: events, cameras, clocks, estimates, and rules."""
 
 import ast
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import combinations
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pytest
 import ssac
 from experiments.lab.grid import _flat, configs_of
 from sim.scene.rig import Camera as SimulatedCamera
-from ssac import Chain, Clock, Config, SsacError, checked
+from ssac import Clock, Config, SsacError, checked
 from ssac.camera import (
     MAX_ROUND_TRIP_PX,
     Camera,
@@ -22,9 +22,7 @@ from ssac.camera import (
 )
 from ssac.estimate import POSE_IS_OPEN, Estimate, Refusal, Status, first
 from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, time_quantum_s
-from ssac.rules import Rules
-from tests.ssac.methods.flights import seen
-from tests.ssac.synthetic import make_scene
+from ssac.rules import Rules, VerdictRules
 
 
 def _events(t):
@@ -42,18 +40,10 @@ def test_every_value_is_kept_but_a_polarity_of_minus_one_and_arguments_stay(dtyp
     assert p.tolist() == before
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        (([0, 1], [0, 1], [0], [0, 1]), r"cam1\.h5: t, x, y and p must be of one length"),
-        (([0.1], [0], [0], [0]), r"t must hold whole numbers \(t in microseconds\)"),
-        (([0], [-1], [0], [0]), "x must lie in 0 to 65535"),
-        (([0], [65536], [0], [0]), "x must lie in 0 to 65535"),
-    ],
-)
-def test_arrays_that_make_no_events_are_refused(columns, message):
-    with pytest.raises(SsacError, match=message):
-        events_from_arrays(*columns, name="cam1.h5")
+@pytest.mark.parametrize(("t", "x"), [(0.1, 0), (0, -1), (0, 65536)])
+def test_arrays_that_make_no_events_are_refused(t, x):
+    with pytest.raises(SsacError, match=r"t must hold whole numbers|x must lie in 0 to 65535"):
+        events_from_arrays([t], [x], [0], [0])
 
 
 def _with(events, field, value, at=3):
@@ -65,11 +55,9 @@ def _with(events, field, value, at=3):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda e: e[:0], "camera 1: there are no events"),
         (lambda e: e[::-1], "event 1 is at 2 us, after one at 3 us: copy or record it again if"),
         (lambda e: e.astype([("t", "<f8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")]), "1-D array"),
         (lambda e: e.reshape(2, 2), "1-D array of"),
-        (lambda e: _with(e, "x", 10), "sensor is 10 x 7 px, .* at x = 10"),
         (lambda e: _with(e, "y", 7), "sensor is 10 x 7 px, .* at y = 7"),
         (lambda e: _with(e, "p", 2), "polarity must be 0 or 1, got 2"),
         (lambda e: _with(e, "t", 2**24 - 5, 2), r"anew at event 3, .* 24 bits .*; do not sort"),
@@ -133,7 +121,7 @@ def _camera(model="none", coeffs=()):
 
 
 @pytest.mark.parametrize(("model", "coeffs"), LENSES)
-def test_distorting_undoes_undistorting_which_the_map_agrees_with(model, coeffs):
+def test_distorting_is_as_in_the_simulator_and_undoes_undistorting_as_does_the_map(model, coeffs):
     camera, points = _camera(model, coeffs), POINTS.copy()
     there_and_back = distort_points(camera, undistort_points(camera, points))
     # These lenses are invertible over the whole sensor.
@@ -154,16 +142,12 @@ def test_distorting_undoes_undistorting_which_the_map_agrees_with(model, coeffs)
     np.testing.assert_array_equal(looked_up, undistort_points(camera, pixels))
     # Radial distortion does not move the optical axis, nor do p1 and p2.
     np.testing.assert_allclose(table[130, 173], (173, 130), rtol=0, atol=MAX_ROUND_TRIP_PX)
-
-
-@pytest.mark.parametrize(("model", "coeffs"), [LENSES[1], LENSES[4]])
-def test_the_simulator_has_the_same_models(model, coeffs):
-    """The simulator writes out Kalibr's formulas itself."""
-    simulated = SimulatedCamera("cam1", K, 346, 260, model, coeffs, np.eye(4), 0.0)
-    points_m = np.column_stack([POINTS, np.ones(len(POINTS))]) @ np.linalg.inv(K).T
-    measured = distort_points(_camera(model, coeffs), POINTS)
-    # The tolerance is the rounding of one formula in two orders of operations.
-    np.testing.assert_allclose(measured, simulated.project(points_m), rtol=0, atol=1e-9)
+    if len(coeffs) < 5:  # the simulator writes out Kalibr's formulas, which have four, itself
+        simulated = SimulatedCamera("cam1", K, 346, 260, model, coeffs, np.eye(4), 0.0)
+        points_m = np.column_stack([POINTS, np.ones(len(POINTS))]) @ np.linalg.inv(K).T
+        # The tolerance is the rounding of one formula in two orders of operations.
+        measured_px = distort_points(camera, POINTS)
+        np.testing.assert_allclose(measured_px, simulated.project(points_m), rtol=0, atol=1e-9)
 
 
 def test_points_that_no_ray_reaches_are_nan():
@@ -176,17 +160,13 @@ def test_points_that_no_ray_reaches_are_nan():
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
-        (Camera(np.eye(2), 346, 260), "cam0: K must be a finite 3x3 matrix"),
-        (Camera(np.where(K == 173, np.nan, K), 346, 260), "K must be a finite 3x3 matrix"),
         (Camera(np.diag([-200.0, 200.0, 1.0]), 346, 260), "focal lengths must be positive"),
         (Camera(K + np.eye(3, k=1), 346, 260), "without skew"),
         (Camera(K, 0, 260), "at least 1 x 1 px and at most 200000000 pixels, got 0 x 260"),
-        (_camera(["radtan"]), "unknown distortion model"),
+        (_camera(["radtan"]), "cam0: unknown distortion model"),
         (_camera("none", "abcd"), "the distortion model 'none' needs 0 finite"),
         (Camera(K, 346, 260, intrinsics_std_px="abcd"), "intrinsics_std must be 4 deviations"),
         (Camera(K, 346, 260, intrinsics_std_px=(0, 0, 0, -1)), "intrinsics_std must be 4 devi"),
-        (Camera(K, 346, 260, readout_s="a"), "the readout must take 0 to 0.2 s"),
-        (Camera(K, 346, 260, readout_std_s=None), "the readout must take 0 to 0.2 s"),
         (_camera("fov", (0.9,)), "unknown distortion model 'fov': use one of none, radtan"),
         (_camera("radtan", (0.1,)), "'radtan' needs 4 or 5 or 8 finite coefficients"),
         (_camera("equidistant", (0, 0, 0, np.nan)), "'equidistant' needs 4 finite coefficients"),
@@ -241,8 +221,6 @@ def test_a_clock_is_what_it_says():
 
 # --- Estimates ---
 
-"""Statuses in the order of the stages that give them."""
-
 
 def test_the_first_of_several_refusals_is_that_of_the_earliest_stage():
     for earlier, later in combinations(Status, 2):
@@ -294,27 +272,15 @@ def other(value):
     return not value if isinstance(value, bool) else value + 1
 
 
-def changed(group, name, value):
-    """Return a group of rules in which the rule of this dotted name has another value."""
-    part, _, rest = name.partition(".")
-    return replace(group, **{part: changed(getattr(group, part), rest, value) if rest else value})
-
-
 def with_rule(name, value):
-    return Config(rules=changed(Rules(), name, value), interval_s=(-0.2, 0.2))
-
-
-@pytest.fixture(scope="module")
-def chain():
-    scene = make_scene(seed=1, duration_s=6.0)
-    return Chain(seen(scene, 1), scene.rig, Config(interval_s=(-0.2, 0.2)))
+    return configs_of({f"ssac.rules.{name}": value})[1]
 
 
 @pytest.mark.parametrize("name", RULES)
 def test_a_sweep_sets_a_rule_by_its_dotted_name_and_one_that_makes_no_sense_is_named(name):
     value = RULES[name]
-    _, config = configs_of({f"ssac.rules.{name}": other(value)})
-    assert checked(config).rules == with_rule(name, other(value)).rules != Rules()
+    config = checked(with_rule(name, other(value)))
+    assert dict(_flat(asdict(config.rules))) == RULES | {name: other(value)} != RULES
     assert hash(config) != hash(Config())  # so results under other rules are not reused
     for wrong in (None, "many", [value], *(() if isinstance(value, bool) else (np.nan, True))):
         if isinstance(value, tuple) and not isinstance(wrong, list):
@@ -330,7 +296,7 @@ def test_rules_of_another_kind_are_refused_and_any_number_is_taken():
     with pytest.raises(SsacError, match=r"rules\.verdict: expected VerdictRules"):
         checked(Config(rules=Rules(verdict=None)))
     for value in (np.float64(0.5), np.int64(1), 1):
-        checked(with_rule("verdict.max_spread", value))
+        checked(Config(rules=Rules(verdict=VerdictRules(max_spread=value))))
 
 
 def test_a_stage_has_no_rules_but_those_of_its_config():
@@ -345,23 +311,3 @@ def test_a_stage_has_no_rules_but_those_of_its_config():
     # align.py and faint.py have functions that people call without a config.
     assert made == {"rules.py", "align.py", "faint.py"}
     assert {name.rpartition(".")[2] for name in RULES} <= read
-
-
-@pytest.mark.parametrize(
-    ("rule", "value", "method"),
-    [
-        ("noise.ball_px", 4.0, "ssac"),
-        ("search.rival", 1e9, "ssac"),
-        ("view.even_share", 1.5, "ssac"),
-        ("fit.least_curvature", 50.0, "joint"),
-        ("joint.bias_slope", 0.4, "joint"),
-        ("verdict.max_t_d_std_s", 1e-6, "tangency"),
-        ("tangency.outline.rank", 4, "tangency"),
-        ("albl.inlier_px", 0.5, "albl"),
-        ("signals.zncc_bin_s", 0.02, "zncc_e"),
-    ],
-)
-def test_what_was_found_by_other_rules_is_not_given(rule, value, method, chain):
-    """Both answers are of one chain, and share its cache."""
-    by_others = chain.under(with_rule(rule, value)).estimate(method)
-    assert repr(by_others) != repr(chain.estimate(method))

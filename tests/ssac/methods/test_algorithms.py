@@ -10,7 +10,7 @@ from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods import correlations
 from ssac.track.observation import Observation, tracked
 from tests.ssac.methods.flights import CLEAN, T_D_S, seen
-from tests.ssac.synthetic import HEIGHT, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.synthetic import HEIGHT, make_scene, track_pair
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +31,6 @@ def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried
     # The tolerance is five times the bound of 400 windows with 0.3 px of noise, 0.16 ms.
     assert fast.t_d_s == pytest.approx(t_d_s, abs=0.8e-3)
     assert len(slow.candidates_s) == tried
-
-
-def test_magsac_is_an_alternative_to_lmeds(flight):
-    scene, cameras = flight
-    estimate = ssac(*cameras, scene.unknown_rig, replace(CLEAN, robust="magsac"))
-    # The tolerances are wide because MAGSAC returns its best minimal sample alone.
-    assert estimate.t_d_s == pytest.approx(T_D_S, abs=0.001)
-    assert rotation_angle_deg(estimate.R, scene.R) < 1.5
 
 
 def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from experiments.studies.efficiency import cramer_rao_bound, fisher_information
 from ssac import Clock, Config, Estimate, TwoViews
 from ssac.fit.intrinsics import Allowance
-from ssac.fit.least_squares import Parameters, Problem, moved, solve
+from ssac.fit.least_squares import Parameters, Problem, solve
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods import clocks
 from ssac.methods.clocks import clock_model
@@ -17,9 +17,9 @@ from ssac.methods.joint import refine, sharp_pairs
 from ssac.methods.refinement import smooth_errors
 from ssac.rules import ClockRules, FitRules, JointRules
 from ssac.track.motion import SharpTrack, Track
-from tests.ssac.box import errors
+from tests.ssac.box import errors, off_the_truth
 from tests.ssac.methods.flights import T_D_S
-from tests.ssac.synthetic import OTHER, make_scene, rotation_angle_deg, track_pair
+from tests.ssac.synthetic import OTHER, make_scene, track_pair
 
 SIZE_PX = 10.0  # of each image
 DELAYED = Clock(T_D_S)
@@ -30,13 +30,10 @@ class WhiteMotion:
 
     def __init__(self, scene, view, clock, noise):
         self.scene, self.view, self.clock, self.noise = scene, view, clock, noise
-        self.jump = (np.inf, 0.0)  # a jump's time on camera 1's clock, and its size [s]
         self.span_s = tuple(clock.cam2_from_cam1(np.array([0.0, scene.duration_s])).tolist())
 
     def _true(self, times_s):
-        seen_s, (at_s, size_s) = self.clock.cam1_from_cam2(times_s), self.jump
-        seen_s = np.where(seen_s >= at_s + size_s, seen_s - size_s, seen_s)
-        return track_pair(self.scene, seen_s)[self.view]
+        return track_pair(self.scene, self.clock.cam1_from_cam2(times_s))[self.view]
 
     def at(self, times_s):
         counts, valid = np.full(times_s.shape, 1000), np.ones(times_s.shape, dtype=bool)
@@ -50,17 +47,13 @@ class WhiteMotion:
         return SharpTrack(*astuple(self.at(times_s)), self.velocities_at(times_s), sizes_px)
 
 
-def white_views(
-    scene, sigma_px, seed=0, shown=DELAYED, known=False, bias_px=0.0, jump=None, **options
-):
-    """Views of a flight; camera 2's clock is `shown`, and its points have a downward bias."""
+def white_views(scene, sigma_px, seed=0, shown=DELAYED, known=False, **options):
+    """Views of a flight; camera 2's clock is `shown`."""
 
     def noise(view, shape):
-        drawn = np.random.default_rng((seed, view)).normal(0.0, sigma_px, (*shape, 2))
-        return drawn + np.array([0.0, bias_px * view])
+        return np.random.default_rng((seed, view)).normal(0.0, sigma_px, (*shape, 2))
 
     motions = [WhiteMotion(scene, k, (Clock(), shown)[k], partial(noise, k)) for k in (0, 1)]
-    motions[1].jump = jump or motions[1].jump
     return TwoViews(*motions, scene.rig, Config(denoise=False, **options), known)
 
 
@@ -87,11 +80,7 @@ def cramer_rao(scene, sigma_px, n=400):
 
 def test_zero_noise_and_a_wrong_start_give_the_truth():
     scene = make_scene(seed=1)
-    truth = truth_of(scene)
-    step = np.array([0.004, 0.02, -0.03, 0.01, 0.02, -0.02])
-    start = moved(Parameters(truth.t_d_s, truth.R, truth.t), step)
-    wrong = replace(truth, t_d_s=start.t_d_s, R=start.R, t=start.t)
-    found = refine(wrong, white_views(scene, 0.0))
+    found = refine(off_the_truth(scene), white_views(scene, 0.0))
     assert np.all(errors(found, scene) < [1e-2, 1e-3, 1e-3])  # where the rounds stop
 
 
@@ -109,17 +98,6 @@ def test_errors_follow_the_cramer_rao_bound(sigma_px, duration_s):
     assert np.all((rms > 0.65) & (rms < 1.4))
     # The estimated deviation of t_d is the true one; 40 correlation times make it a little small.
     assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(1.0, abs=0.4)
-
-
-def test_a_bias_that_no_residual_shows_is_allowed_for():
-    clean, biased = (
-        refine(truth_of(SCENE), white_views(SCENE, 0.1, bias_px=bias_px)) for bias_px in (0.0, 0.4)
-    )
-    assert biased.d_avg_px < 1.05 * clean.d_avg_px  # the pose absorbs the bias
-    error_deg = rotation_angle_deg(biased.R, SCENE.R)
-    # The bias is 3 % of the images' 14 px, about the size that the prior expects.
-    assert error_deg > 5.0 * cramer_rao(SCENE, 0.1)[1]
-    assert 0.3 * biased.r_std_deg < error_deg < 2.0 * biased.r_std_deg
 
 
 @pytest.mark.parametrize("view", [0, 1])
@@ -221,19 +199,6 @@ def test_what_is_seen_speaks_against_a_prior_of_the_skew_that_is_too_narrow(
     assert (refine(START, views).against_skew > views.rules.retry.far_skew) is is_far
 
 
-def test_what_speaks_against_a_prior_of_the_skew_is_not_held_by_it():
-    held, free = (
-        refine(START, views_of(Clock(T_D_S, 40.0, MIDDLE_S), skew_prior_ppm=prior_ppm))
-        for prior_ppm in (1.0, 1000.0)
-    )
-    assert free.skew_ppm == pytest.approx(40.0, abs=4.0 * free.skew_std_ppm)
-    assert held.skew_std_ppm < 1.1
-    assert abs(held.skew_ppm) < 10.0  # held back, but not to 1 ppm: the data are strong
-    # The tolerance is a fifth, to which the deviation of either fit is known.
-    of_both_ppm = np.hypot(1.0, free.skew_std_ppm)
-    assert held.against_skew == pytest.approx(free.skew_ppm / of_both_ppm, rel=0.2)
-
-
 def test_without_a_prior_both_clocks_run_alike():
     views = views_of(skew_prior_ppm=0.0)
     assert len(clock_model(views, START).deviations) == 0  # so the problem has no column
@@ -246,9 +211,14 @@ def test_without_a_prior_both_clocks_run_alike():
     assert skewed.t_d_std_s == pytest.approx(found.t_d_std_s, rel=0.1)
 
 
+def jumping(at_s, size_s):
+    """A clock that jumps at this time of camera 1's."""
+    return Clock(T_D_S, 0.0, MIDDLE_S, at_s + np.array([0.0, 1e-6]), np.array([0.0, size_s]))
+
+
 @pytest.mark.parametrize("size_s", [0.005, 0.020])
 def test_a_jump_is_refused_with_its_time_and_size(size_s):
-    found = refine(START, views_of(jump=(15.0, size_s)))
+    found = refine(START, views_of(jumping(15.0, size_s)))
     assert (found.status, found.has_offset, found.R) == ("clock_jump", False, None)
     jump = found.jump
     assert jump.at_s == pytest.approx(15.0, abs=0.5)  # samples are 0.1 s apart, and noisy
@@ -349,7 +319,7 @@ def test_far_skews_are_searched_for_with_their_clocks_and_near_ones_are_not(
 @pytest.mark.parametrize(("prior_ppm", "status"), [(100.0, "ok"), (25.0, "clock_jump")])
 def test_a_skew_far_from_its_prior_speaks_for_a_jump(prior_ppm, status):
     """A step of few deviations is a jump only if it bends the skew far from its prior."""
-    views = views_of(jump=(18.0, 0.003), skew_prior_ppm=prior_ppm)  # which bends it by 140 ppm
+    views = views_of(jumping(18.0, 0.003), skew_prior_ppm=prior_ppm)  # which bends it by 140 ppm
     jump = refine(START, views.by(clock=ClockRules(jump_sigmas=1.0, fewer_sigmas=1.0))).jump
     sigmas = jump.size_s / jump.size_std_s
     rules = ClockRules(jump_sigmas=1.1 * sigmas, fewer_sigmas=0.5 * sigmas)

@@ -101,15 +101,6 @@ def test_a_world_twice_as_large_looks_the_same(name, chain, twice_as_large):
     assert_same(twice_as_large.estimate(name), chain.estimate(name))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_too_few_events_are_refused_under_the_methods_name(name, chain):
-    estimate = chain.under(replace(CONFIG, n_min=100_000)).estimate(name)
-    assert (estimate.method, estimate.status) == (name, "too_few_samples")
-    assert "100000 events" in estimate.reason
-    assert "track" not in estimate.reason
-    assert not estimate.has_offset
-
-
 # --- What is left open ---
 
 MOVING = "ambiguous_offset", "too_little_motion", "no_match"
@@ -127,6 +118,7 @@ REFUSED = [  # path, methods, statuses, words of the reason, fields of the confi
     # Bug: where one view is as the other was, the line's offset was 675 ms off at a stated 0.2.
     ("edge on", FREE, MOVING[:1], "the same course", {}),
     ("edge on", FREE, MOVING[:1], "", {"search": "all"}),
+    ("free", NAMES, ("too_few_samples",), "100000 events", {"n_min": 100_000}),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
     ("free", FREE, ("too_few_samples",), "", {"n_samples": 25}),
     # Bug: offsets near the recordings' length leave few pairs, to which an F always fits.
@@ -143,6 +135,7 @@ def test_what_leaves_all_open_is_refused(path, method, statuses, words, fields):
     assert estimate.status in statuses or (not statuses and estimate.status != "ok")
     assert words in estimate.reason
     assert estimate.reason
+    assert estimate.method == method
     assert not estimate.has_offset
     assert estimate.R is estimate.t is None
 

@@ -66,19 +66,15 @@ def with_thread(events, seed):
 
 
 def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
-    errors_of = []
-    for told in (False, True):
-        held = [
-            replace(synthetic.denoised(events), on_line=mask if told else None)
-            for events, mask in map(with_thread, STREAMS, (0, 1))
-        ]
-        estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
-        assert estimate.status == "ok"
-        errors_of.append(box.errors(estimate, SCENE))
+    held = [
+        replace(synthetic.denoised(events), on_line=mask)
+        for events, mask in map(with_thread, STREAMS, (0, 1))
+    ]
+    estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
+    assert estimate.status == "ok"
     # The same events give the same tangents, but for rounding of sums.
     alone = box.errors(tangents_alone(), SCENE)
-    assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
-    assert errors_of[0] != pytest.approx(errors_of[1], rel=0.1)
+    assert box.errors(estimate, SCENE) == pytest.approx(alone, rel=1e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
@@ -146,15 +142,6 @@ def by_means() -> Estimate:
 def by_rules(start: Estimate, views: TwoViews = VIEWS, **rules) -> Estimate:
     rules = {"joins_body": False} | rules
     return tangency_from(start, views.by(tangency=TangencyRules(**rules)))
-
-
-def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
-    is_open = {"status": "degenerate_pose", "reason": "too large", "R": None, "t": None}
-    refused = replace(by_means(), **is_open)
-    estimate = tangency_from(refused, VIEWS)
-    assert (estimate.method, estimate.status) == ("tangency", "ok")
-    alone = tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
-    assert alone.status == "degenerate_pose"
 
 
 def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_start():

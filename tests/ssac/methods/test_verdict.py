@@ -145,14 +145,13 @@ def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_deg, status):
 
 @pytest.mark.parametrize("quanta_s", [(0.0, 0.0), (0.001, 0.0), (0.001, 0.01), (0.01, 0.01)])
 def test_rounded_times_widen_the_offsets_deviation_by_that_of_an_even_distribution(quanta_s):
-    covariance = np.diag([1e-6, 1e-8, 1e-8, 1e-8, 1e-8, 1e-8])
-    found = Estimate("joint", t_d_std_s=1e-3, covariance=covariance)
-    found = widened(found, rounding_variance_s2(*quanta_s))
+    exact = with_deviations()
+    found = widened(exact, rounding_variance_s2(*quanta_s))
     # Each of the two times has an error uniform over its step, whose deviation is step / sqrt(12).
     variance = 1e-6 + sum(step_s**2 for step_s in quanta_s) / 12.0
     assert found.t_d_std_s == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert found.covariance[0, 0] == pytest.approx(variance, rel=1e-12)
-    np.testing.assert_array_equal(found.covariance[1:, 1:], covariance[1:, 1:])
+    np.testing.assert_array_equal(found.covariance[1:, 1:], exact.covariance[1:, 1:])
 
 
 def test_deviations_of_a_direction_stay_those_about_the_same_axes_in_space():
@@ -182,7 +181,7 @@ SEARCH = Estimate(
 
 @pytest.mark.parametrize("status", REFUSALS)
 def test_positions_settle_what_the_table_names_of_a_search(status):
-    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, rules=Rules())
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, rules=Rules(), config=CLEAN)
     tried = Choice(views, refine=None).hypotheses(replace(SEARCH, status=status))
     assert bool(tried) == (status in SETTLED_BY["joint"])
     assert all(one.status == Status.OK for one in tried)
@@ -208,6 +207,7 @@ def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, 
     start = Estimate("joint", status, "a reason", start=search)
     estimate = tangency_from(start, views)
     assert estimate.method == "tangency"
+    assert tangency_from(replace(start, start=None), views).status == status  # nothing to go to
     if status in SETTLED_BY["tangency"]:
         assert estimate.status == Status.OK
         # From a search that is ok, positions compare the solutions; otherwise tangents do.

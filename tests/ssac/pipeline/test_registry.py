@@ -1,6 +1,7 @@
 """Laws of all our methods, how they are listed and chosen, and which stages they share."""
 
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 
@@ -13,6 +14,7 @@ from ssac.cli.command_line import COMMANDS, command_line, run
 from ssac.cli.sync import complete_method
 from ssac.methods.method import all_summaries, our_methods
 from ssac.pipeline.registry import DEFAULT, METHODS, OURS, Input, choose_method
+from ssac.rules import Rules
 from ssac.track.clean import clean
 from tests.answers import assert_same
 from tests.ssac.cluttered import noisy_flight
@@ -182,18 +184,28 @@ def test_a_method_changes_no_input_and_gives_the_same_for_what_is_clean(name, ra
         np.testing.assert_array_equal(seen.events, kept)
 
 
+def ruled(group, **fields):
+    return Config(rules=replace(Rules(), **{group: replace(getattr(Rules(), group), **fields)}))
+
+
 FROM_VIEWS = {"view_of": 2, "algorithm_2": 1, "joint_from": 1}
+FROM_EVENTS = {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}
 SHARED = (
     (Config(), 0.0, {}),
     (Config(), 0.1, {"one_object": 1, **FROM_VIEWS}),
     (Config(skew_prior_ppm=20.0), 0.0, {"joint_from": 1}),
     (Config(seed=5), 0.0, {"algorithm_2": 1, "joint_from": 1}),
+    (Config(robust="magsac"), 0.0, {"algorithm_2": 1, "joint_from": 1}),
     (Config(half_window_s=0.015), 0.0, FROM_VIEWS),
     (Config(n_min=20), 0.0, FROM_VIEWS),
     (Config(max_border_fraction=0.5), 0.0, FROM_VIEWS),
     (Config(border_px=9), 0.0, {"_summed_up": 2, **FROM_VIEWS}),
     (Config(interval_s=(-0.5, 0.5)), 0.0, {"one_object": 1, **FROM_VIEWS}),
-    (Config(n_neighbours=2), 0.0, {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
+    (Config(n_neighbours=2), 0.0, FROM_EVENTS),
+    (ruled("noise", ball_px=4.0), 0.0, FROM_EVENTS),
+    # Views are kept under the first rules alone; under others, two stages sum up both of them.
+    (ruled("view", max_width=0.31), 0.0, {"one_object": 1, **FROM_VIEWS, "view_of": 4}),
+    (ruled("joint", bias_slope=0.4), 0.0, {"one_object": 1, "algorithm_2": 1, "joint_from": 1}),
 )
 
 

@@ -27,8 +27,6 @@ from tests.ssac.network.flights import make_flight
 from tests.ssac.synthetic import (
     CAMERA,
     EXACT_PX,
-    HEIGHT,
-    WIDTH,
     clocked,
     denoised,
     make_events,
@@ -175,8 +173,7 @@ def test_a_third_camera_tells_which_calibration_is_wrong_and_what_is_right(tmp_p
     for k, (camera, answer) in enumerate(zip(written, found.to_dict()["cameras"], strict=True)):
         off_px = np.diag(camera.K)[:2] - np.diag(OF_FLIGHTS.K)[:2]
         assert np.all(np.abs(off_px) <= 4.0 * np.array(camera.intrinsics_std_px[:2]))
-        assert np.all(off_px == 0.0) == (k != 1)
-        assert (answer["intrinsics"] is None) == (k != 1)
+        assert np.all(off_px == 0.0) == (answer["intrinsics"] is None) == (k != 1)
         if k == 1:
             assert answer["intrinsics"][:2] == pytest.approx(np.diag(camera.K)[:2])
             assert answer["intrinsics_std"] == pytest.approx(camera.intrinsics_std_px)
@@ -224,15 +221,6 @@ def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     assert "camera 2's focal length wants to be 6" in result.note  # 60 %, to within a few
 
 
-@pytest.mark.parametrize("std_px", [None, EXACT_PX])
-def test_exchanged_intrinsics_are_named_beside_the_offset(std_px):
-    scene = replace(SCENE, cam2=longer(0.6))
-    exchanged = [replace(one, intrinsics_std_px=std_px) for one in (longer(0.6), UNSTATED)]
-    result = ssac.sync(*make_events(scene, 1, T_D_S, 20_000.0, 0.1), exchanged)
-    check(result, status=Status.DEGENERATE_POSE)
-    assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
-
-
 def test_the_more_intrinsics_are_in_doubt_the_wider_are_the_deviations(events, right):
     slightly, much = (ssac.sync(*events, [longer(by), UNSTATED]) for by in (0.008, 0.02))
     assert slightly.status == much.status == Status.OK
@@ -254,11 +242,9 @@ def test_the_more_intrinsics_are_in_doubt_the_wider_are_the_deviations(events, r
         (Status.OK, 4.1, "exact", 3),
         (Status.OK, 1.2, False, 0),
         (Status.OK, 1.3, False, 1),
-        (Status.OK, 1.9, True, 0),
         (Status.OK, 2.0, False, 1),
         (Status.OK, 2.1, False, 3),
         (Status.OK, 3.9, True, 0),
-        (Status.POOR_FIT, 4.1, False, 3),
         (Status.POOR_FIT, 4.1, True, 3),
         (Status.POOR_FIT, 0.0, False, 3),
         (Status.POOR_FIT, 0.0, True, 0),
@@ -282,12 +268,6 @@ def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, state
     if n:  # at least the deviations of a careless calibration, or of a fair one
         least_px = [2.0, 2.0, 3.0, 3.0] if n == 1 else [6.0, 6.0, 10.0, 10.0]
         assert np.all(np.array(stds_px[1][1]) >= least_px)
-
-
-@pytest.mark.parametrize("seed", [0, 1])  # the first finds its offset at a bound
-def test_what_is_too_short_is_to_be_recorded_longer(seed):
-    brief = make_events(make_scene(seed, duration_s=0.5), seed, T_D_S)
-    assert "record longer" in ssac.sync(*brief, [CAMERA, CAMERA]).estimate.reason
 
 
 @pytest.mark.parametrize("seed", [0, 2])  # 2 to 3.5 swings: all offsets are searched
@@ -328,16 +308,22 @@ def test_a_principal_point_outside_is_told_and_an_exchanged_one_put_right_unless
     assert "camera 1's principal point, (473, 130) px, lies outside of its image" in outside
 
 
-@pytest.mark.parametrize("seen_hz", [150.0, 0.0])
-def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
-    scene, noise_hz = make_scene(1, duration_s=12.0), 0.25  # as of a DAVIS346
-    faint = make_events(scene, 1, T_D_S, max(seen_hz, 1.0), 0.0)
-    noisy = [
-        merged(one if seen_hz else one[:0], noise(WIDTH, HEIGHT, noise_hz, 12_000_000, seed))
-        for seed, one in enumerate(faint)
+FAINT = make_events(make_scene(1, duration_s=12.0), 1, T_D_S, 150.0, 0.0)
+
+
+def in_noise(*cameras):
+    """Add noise as of a DAVIS346, of 0.25 Hz."""
+    return [
+        merged(events, noise(CAMERA.width, CAMERA.height, 0.25, 12_000_000, seed))
+        for seed, events in enumerate(cameras)
     ]
-    result = ssac.sync(*noisy, [CAMERA, CAMERA])
-    if seen_hz:
+
+
+@pytest.mark.parametrize("is_seen", [True, False])
+def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(is_seen):
+    cameras = FAINT if is_seen else (FAINT[0][:0], FAINT[1][:0])
+    result = ssac.sync(*in_noise(*cameras), [CAMERA, CAMERA])
+    if is_seen:
         check(result)
         assert "followed through the noise" in result.to_dict()["note"]
     else:
@@ -350,12 +336,7 @@ def test_faint_cameras_of_a_network_are_event_cameras_whichever_pair_is_refused(
 
     An event camera has no rolling shutter, and its skew the prior deviation of 50 ppm.
     """
-    faint = make_events(make_scene(1, duration_s=12.0), 1, T_D_S, 150.0, 0.0)
-    seen = [
-        merged(one, noise(WIDTH, HEIGHT, 0.25, 12_000_000, seed))
-        for seed, one in enumerate((faint[0][:0], *faint))
-    ]
-    blind, first, other = ssac.sync(seen, [CAMERA] * 3).cameras
+    blind, first, other = ssac.sync(in_noise(FAINT[0][:0], *FAINT), [CAMERA] * 3).cameras
     assert (blind.status, first.status) == (Status.NO_MATCH, Status.OK)
     check(other)
     assert other.readout_std_s == 0.0

@@ -119,13 +119,6 @@ def test_the_background_is_that_of_ordinary_pixels(hz):
     assert found_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
 
 
-def random_events(n, duration_us, seed):
-    """Exactly n events all over a part of the sensor, which makes them dense."""
-    rng = np.random.default_rng(seed)
-    t = np.sort(rng.integers(0, duration_us, n))
-    return events_from_arrays(t, rng.integers(0, 64, n), rng.integers(0, 48, n), np.zeros(n, int))
-
-
 @st.composite
 def bursts(draw):
     """Bursts of unlike density, far apart or not; in whole ms, many lie just on a boundary."""
@@ -133,9 +126,11 @@ def bursts(draw):
     step_us = draw(st.sampled_from([1, 1000]))
     parts, first_us = [], draw(st.sampled_from([0, 1_700_000_000_000_000]))
     for n, duration_us, seed in draw(st.lists(burst, min_size=1, max_size=4)):
-        parts.append(random_events(n, duration_us // step_us + 1, seed))
-        parts[-1]["t"] = parts[-1]["t"] * step_us + first_us
-        first_us = parts[-1]["t"][-1] + draw(st.sampled_from([0, 4000, 10_000_000_000]))
+        rng = np.random.default_rng(seed)
+        t = first_us + step_us * np.sort(rng.integers(0, duration_us // step_us + 1, n))
+        x, y = rng.integers(0, [[64], [48]], (2, n))  # a part of the sensor, so that they are dense
+        parts.append(events_from_arrays(t, x, y, np.zeros(n, int)))
+        first_us = t[-1] + draw(st.sampled_from([0, 4000, 10_000_000_000]))
     return np.concatenate(parts)
 
 

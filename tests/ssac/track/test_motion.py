@@ -304,5 +304,3 @@ def test_rows_of_a_rolling_shutter_have_times_of_their_own():
     assert again.interval_s == pytest.approx(STEP_S)
     wanted_s = np.linspace(0.3, 2.0, 9)
     np.testing.assert_allclose(motion.at(wanted_s).positions_px, path(wanted_s), atol=1e-5)
-    with pytest.raises(SsacError, match="readout_s is 50 ms, but frames follow each other in 40"):
-        of_points(TIMES_S, camera=replace(CAMERA, readout_s=0.05))
