@@ -111,9 +111,8 @@ def main() -> None:
         recorded = Recorded(**{**one, "files": tuple(one["files"])})
         for method in (one.name for one in OURS):
             for pair in combinations(range(len(recorded.files)), 2):
-                numbers = "-".join(str(k + 1) for k in pair)
                 found = answered(by_python, recorded, method, pair)
-                answers[recorded.name, method, numbers] = found
+                answers[recorded.name, method, "-".join(str(k + 1) for k in pair)] = found
     answers_file.write_bytes(pickle.dumps(answers))
 
 

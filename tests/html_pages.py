@@ -2,7 +2,6 @@
 
 from html.parser import HTMLParser
 
-VOID = {"meta", "link", "img", "input"}
 EVIL = "</script><script>alert('x')</script>&"
 
 
@@ -20,7 +19,7 @@ class Reader(HTMLParser):
         assert self.open == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in VOID:
+        if tag not in ("meta", "link", "img", "input"):
             self.open.append(tag)
         names = dict(attrs)
         self.ids += [str(names["id"])] if "id" in names else []
@@ -38,8 +37,7 @@ def check_page(page: str) -> Reader:
     """Check that a page is well formed and loads no other file; return the parsed page."""
     reader = Reader(page)
     assert len(set(reader.ids)) == len(reader.ids)
-    assert reader.addresses
-    assert all(address.startswith("data:") for address in reader.addresses)
+    assert {address[:5] for address in reader.addresses} == {"data:"}
     assert "default-src 'none'" in page
     for word in ("@import", "url(", "http:", "https:", "fetch(", "XMLHttpRequest", "import("):
         assert word not in page

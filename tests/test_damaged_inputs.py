@@ -104,9 +104,7 @@ def restructure(draw, path):
         if what == "declared":
             chunks = draw(st.sampled_from((None, (100_000,))))
             file.create_dataset(name, (draw(st.sampled_from(DECLARED)),), dtype, chunks=chunks)
-            return
-        value = draw(st.sampled_from(IN_PLACE_OF_DATA))
-        if isinstance(value, h5py.VirtualLayout):
+        elif isinstance(value := draw(st.sampled_from(IN_PLACE_OF_DATA)), h5py.VirtualLayout):
             file.create_virtual_dataset(name, value)
         elif value is not None:
             file[name] = value

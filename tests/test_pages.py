@@ -9,9 +9,6 @@ from tests.test_architecture import FLOORS, ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 TEXTS = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
-MAX_WIDTH = 120
-README_LINES = 120
-PAGE_LINES = 200
 WORDS = 22_000
 """Most words of all pages together, tables included, so that they can still be read."""
 
@@ -35,11 +32,10 @@ def test_the_folders_of_the_architecture_are_those_there_are():
 
 def test_the_way_of_a_recording_follows_the_arrows():
     way = TEXTS["architecture.md"].split("## The way of one recording")[1].split("##")[0]
-    packages = list(FLOORS)
     order = []
     for path in re.findall(r"`((?:sim|ssac|experiments)/[\w/.]+)`", way):
         package, floor, *_ = path.removesuffix(".py").strip("/").split("/")
-        order.append((packages.index(package), FLOORS[package].index(floor)))
+        order.append((list(FLOORS).index(package), FLOORS[package].index(floor)))
     assert len(order) > 10
     assert order == sorted(order)
 
@@ -58,14 +54,14 @@ def test_links_lead_somewhere_and_lines_fit(page):
     # Comments do not count, as a quoted number's name is not shown and its text may change. Nor do
     # rows of tables, which cannot be broken.
     lines = re.sub(r"<!--.*?-->", "", text).splitlines()
-    assert not [one for one in lines if len(one) > MAX_WIDTH and not one.startswith("|")]
+    assert not [one for one in lines if len(one) > 120 and not one.startswith("|")]
 
 
 def test_the_pages_are_short_enough_to_be_read_and_the_readme_has_its_first_screen():
     lines = {name: text.splitlines() for name, text in TEXTS.items()}
     readme = lines["README.md"]
-    assert len(readme) <= README_LINES
-    assert not [name for name, of_page in lines.items() if len(of_page) > PAGE_LINES]
+    assert len(readme) <= 120
+    assert not [name for name, of_page in lines.items() if len(of_page) > 200]
     assert sum(len(text.split()) for text in TEXTS.values()) <= WORDS
     first = "\n".join(readme[:20])
     assert all(part in first for part in ("p2(t + t_d)'", "![", "make demo", "make tables"))

@@ -41,17 +41,15 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
+def lens(model, *coeffs):
+    return {"distortion_model": model, "distortion_coeffs": coeffs or LENSES[model]}
+
+
 def make_camera(model="none", resolution=(346, 260), number=0):
     """Camera 1 at (0, -5, 0), looking along +y, or another one of the rig."""
     width, height = resolution
-    rig = two_view_rig(
-        90.0,
-        focal_px=200.0 * width / 346,
-        resolution=resolution,
-        principal_point=(width / 2, height / 2),
-        distortion_model=model,
-        distortion_coeffs=LENSES[model],
-    )
+    scaled = {"focal_px": 200.0 * width / 346, "principal_point": (width / 2, height / 2)}
+    rig = two_view_rig(90.0, resolution=resolution, **scaled, **lens(model))
     return rig.cameras[number]
 
 

@@ -41,8 +41,7 @@ def test_events_and_frames_show_the_drone_where_it_was():
     for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
         centre_px = make_interp_spline(truth.times_s, centres_px, k=1)
         scene_s = 1e-6 * camera.events["t"] - camera.camera.time_offset_s
-        assert scene_s.min() >= 0.0
-        assert scene_s.max() <= 1.0 + 1e-6
+        assert 0.0 <= scene_s.min() <= scene_s.max() <= 1.0 + 1e-6
         x, y = centre_px(scene_s).T
         distance_px = np.hypot(camera.events["x"] - x, camera.events["y"] - y)
         # The 0.7 m drone is at most 0.43 m from its centre: 43 px when 2 m away.
@@ -62,8 +61,7 @@ def test_events_and_frames_show_the_drone_where_it_was():
 
 
 def test_a_scene_is_what_its_configuration_names(tmp_path):
-    drones = [replace(QUICK, drone=name).scene(1).drone for name in DRONES]
-    light = [drone.parts[0].albedo.sum() for drone in drones]
+    light = [replace(QUICK, drone=name).scene(1).drone.parts[0].albedo.sum() for name in DRONES]
     assert light == [built_in_drone(name).parts[0].albedo.sum() for name in DRONES]
     assert len(set(light)) == len(DRONES)
     assert len(replace(QUICK, drone="bird", flap_hz=0.0).scene(1).drone.parts) == 1
@@ -93,8 +91,7 @@ def test_a_scene_is_what_its_configuration_names(tmp_path):
 
 def test_a_drone_that_is_never_in_view():
     spline = replace(QUICK.spline, offset_xyz_m=(0.0, 0.0, 60.0))
-    recording = simulate(replace(QUICK, spline=spline), 1)
-    for camera in recording.cameras:
+    for camera in simulate(replace(QUICK, spline=spline), 1).cameras:
         assert len(camera.events) == 0
         assert (camera.frames.images == SKY).all()
         assert len(camera.frames.images) == 50
@@ -121,8 +118,6 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch):
     flight, progress = stream(config, 1, open_sink), []
     whole = simulate(config, 1, progress.append)
     assert flight.n_instants == whole.n_instants > 100
-    assert flight.gl.backend in ("osmesa", "egl")
-    assert flight.gl.renderer
     assert 0.0 <= progress[0] <= progress[-1] == 1.0
     assert progress == sorted(progress)
     for camera, calls in zip(whole.cameras, cameras.values(), strict=True):

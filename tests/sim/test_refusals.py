@@ -27,21 +27,11 @@ from sim.twin.bench import TwinConfig, bench_rig, printed
 from sim.twin.calibration import CalibrationConfig, calibrated_camera
 from sim.twin.pendulum import PendulumConfig, hanging
 from sim.twin.room import RoomConfig
-from tests.sim.scenes import QUICK, box_drone, make_camera, poses, rng
+from tests.sim.scenes import QUICK, box_drone, lens, make_camera, poses, rng
 
 NAN, INF = float("nan"), float("inf")
 GREY = np.full((3, 4, 5), 0.5)
 STEADY = np.arange(3.0)
-LENS = {"distortion_model": "radtan", "distortion_coeffs": (0.1,)}
-FISHEYE = {"distortion_model": "equidistant", "distortion_coeffs": (0.1, 0.0, 0.0, NAN)}
-FOLDED = [
-    {"distortion_model": model, "distortion_coeffs": coeffs}
-    for model, coeffs in (
-        ("radtan", (-0.4, 0.0, 0.0, 0.0)),
-        ("radtan", (0.0, 0.0, 0.5, 0.0)),
-        ("equidistant", (-1.0, 0.0, 0.0, 0.0)),
-    )
-]
 POSITIVE = {
     SensorConfig: ("threshold_on", "threshold_off", "log_eps"),
     SplineConfig: ("duration_s", "sampling_hz", "segments_per_s", "smoothing"),
@@ -59,6 +49,10 @@ NUMBERS = [
         if isinstance(one.default, (int, float))
     ),
 ]
+
+
+RADTAN, FISHEYE = "radtan", "equidistant"
+FOLDED = [lens(RADTAN, -0.4, 0, 0, 0), lens(RADTAN, 0, 0, 0.5, 0), lens(FISHEYE, -1, 0, 0, 0)]
 
 
 def grey_with(light, shape=(48, 64), place=(3, 4)):
@@ -121,11 +115,11 @@ CASES = [
     (lambda: two_view_rig(90.0, resolution=(0, 260)), "focal lengths and resolution must be"),
     (lambda: two_view_rig(90.0, principal_point=(NAN, 130.0)), "cam1: K and T_C_W must be finite"),
     (lambda: two_view_rig(90.0, distortion_model="fov"), "'fov': use one of none, radtan"),
-    (lambda: two_view_rig(90.0, **LENS), "needs 4 finite coeff"),
+    (lambda: two_view_rig(90.0, **lens(RADTAN, 0.1)), "needs 4 finite coeff"),
     (lambda: two_view_rig(90.0, distortion_coeffs=(0.1,) * 4), "'none' needs 0 finite coeff"),
-    (lambda: two_view_rig(90.0, **FISHEYE), "'equidistant' needs 4 finite coefficients"),
-    *((partial(two_view_rig, 90.0, **lens), r"cam1: the .* fold the image back on itself")
-      for lens in FOLDED),
+    (lambda: two_view_rig(90.0, **lens(FISHEYE, 0.1, 0, 0, NAN)), "'equidistant' needs 4 finite"),
+    *((partial(two_view_rig, 90.0, **folded), r"cam1: the .* fold the image back on itself")
+      for folded in FOLDED),
     # The first image folds on a ring of 122 px about the principal point, here outside of it: the
     # ring crosses the right and lower half alone.
     (lambda: two_view_rig(90.0, resolution=(130, 100), principal_point=(5.0, -30.0), **FOLDED[0]),
@@ -143,8 +137,7 @@ CASES = [
     *((lambda b=b: open_context(b), "GL backend: expected auto, osmesa or egl, got")
       for b in ("", "OSMESA", "wayland")),
     (lambda: TwinConfig(distances_m=(0.5, -0.1)), "distances_m must be two positive numbers"),
-    (lambda: TwinConfig(distortion_model="equidistant", distortion_coeffs=(0.0,) * 4),
-     "lenses of the model radtan or none, got equidistant"),
+    (lambda: TwinConfig(**lens(FISHEYE)), "lenses of the model radtan or none, got equidistant"),
     (lambda: RoomConfig(shadow=1.0), "shadow is a share, 0 to less than 1, got 1"),
     (lambda: PendulumConfig(hand_m=(0.1, NAN, 0.0)), "hand_m must be three numbers"),
     (lambda: hanging(PendulumConfig(max_radius_m=0.001), 2.0, rng()),
@@ -174,9 +167,9 @@ def test_what_makes_no_sense_is_refused(ask, message, monkeypatch):
         ask()
 
 
-@pytest.mark.parametrize("lens", FOLDED)
-def test_a_narrow_view_never_reaches_the_fold(lens):
-    two_view_rig(90.0, focal_px=2000.0, **lens)
+@pytest.mark.parametrize("folded", FOLDED)
+def test_a_narrow_view_never_reaches_the_fold(folded):
+    two_view_rig(90.0, focal_px=2000.0, **folded)
 
 
 LOST_VERTEX = (

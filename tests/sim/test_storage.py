@@ -33,9 +33,7 @@ QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567):
     """Make a recording of random events, frames and poses, as no simulation is needed to write."""
     rng = scenes.rng()
-    rig = two_view_rig(
-        70.0, t_d_s=T_D_S, distortion_model="radtan", distortion_coeffs=(-0.1, 0.01, 0.001, 0.0)
-    )
+    rig = two_view_rig(70.0, t_d_s=T_D_S, **scenes.lens("radtan", -0.1, 0.01, 0.001, 0.0))
     cameras = []
     for camera in rig.cameras:
         events = np.empty(n_events, EVENT_DTYPE)
@@ -45,12 +43,11 @@ def made_up_recording(n_events=5000, n_frames=4, first_us=-1_234_567):
         times_us = first_us + 20_000 * np.arange(n_frames)
         images = rng.integers(0, 256, (n_frames, 260, 346)).astype(np.uint8)
         cameras.append(CameraRecording(camera, events, Frames(times_us, images, 0.005)))
-    R, t, baseline_m = rig.extrinsics()
     T_W_B = scenes.tumbling(20, 0, (0.0, 0.0, 0.0), 2.0)
     T_W_B[7, :3, 3] = [0.0, -9.0, 0.0]  # behind camera 1
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
     drift = Drift(-20_000.0, 0.5, (0.7, 0.005))
-    truth = Truth(T_D_S, R, t, baseline_m, np.linspace(0, 1, 20), T_W_B, centres_px, drift)
+    truth = Truth(T_D_S, *rig.extrinsics(), np.linspace(0, 1, 20), T_W_B, centres_px, drift)
     gl = GLContext("osmesa", "llvmpipe", "4.5")
     return Recording(rig, truth, 321, gl, RenderCheck(50, 9000, 0.004, 0.01), tuple(cameras))
 
@@ -78,8 +75,7 @@ def test_hdf5_and_text_are_read_back(tmp_path, monkeypatch, n_events, n_frames, 
                 np.testing.assert_array_equal(file[f"events/{name}"][:], camera.events[name])
             assert ("frames" in file) == (n_frames > 0)
             if n_frames:
-                in_chunk = min(max(int(fit), 1), 16, n_frames)
-                assert file["frames/images"].chunks[0] == in_chunk
+                assert file["frames/images"].chunks[0] == min(max(int(fit), 1), 16, n_frames)
         lines = path.with_suffix(".txt").read_text().splitlines()
         assert lines[0] == "346 260"
         assert len(lines) == 1 + n_events
@@ -149,8 +145,7 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
 ):
     (tmp_path / "empty").mkdir()
     monkeypatch.setattr(f"sim.storage.{step}", Mock(side_effect=error))
-    expected = SimError if isinstance(error, OSError) else KeyboardInterrupt
-    with pytest.raises(expected):
+    with pytest.raises(SimError if isinstance(error, OSError) else KeyboardInterrupt):
         save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)
     assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["empty"]
 

@@ -40,14 +40,6 @@ def labels(figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-def hollow(axes) -> list:
-    return [line for line in axes.lines if line.get_markerfacecolor() == "white"]
-
-
-def dashed(axes) -> list:
-    return [line for line in axes.lines if line.get_linestyle() == "--"]
-
-
 def panels_of(figure) -> list[tuple]:
     of = product(ERRORS, (10.0, 20.0))
     return [(axes, *one) for axes, one in zip(figure.axes, of, strict=True)]
@@ -79,8 +71,7 @@ def test_the_papers_means_are_pooled_over_offsets() -> None:
     means = errors.published_means(PUBLISHED, 10.0, "ssac", "t_d_error_ms")
     assert means.index.tolist() == ANGLES_DEG
     # 30 deg in the paper's table.
-    variance = (0.21**2 + 0.16**2 + 0.17**2) / 3
-    expected = (0.16 + 0.21 + 0.18) / 3, np.sqrt(variance / 10)
+    expected = (0.16 + 0.21 + 0.18) / 3, np.sqrt((0.21**2 + 0.16**2 + 0.17**2) / 3 / 10)
     assert tuple(means[["mean", "standard_error"]].iloc[0]) == pytest.approx(expected)
     for duration_s, method in ((10.0, "joint"), (5.0, "ssac")):
         assert errors.published_means(PUBLISHED, duration_s, method, "t_d_error_ms") is None
@@ -123,7 +114,8 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     assert "zncc_e" in labels(figure)
     assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is in the legend alone
     assert style.SURVIVORS[0] in labels(figure)
-    assert len(hollow(figure.axes[0])) == 1  # both runs are of one angle
+    faces = [line.get_markerfacecolor() for line in figure.axes[0].lines]
+    assert faces.count("white") == 1  # both runs are of one angle
     assert [text.get_text() for text in figure.axes[0].texts] == ["10"]
     runs = runs_of(20.0).assign(duration_s=5.0)
     assert len(drawn_means(error_figure(runs, PUBLISHED).axes[0])) == 4
@@ -153,7 +145,7 @@ def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
         for method, drawn in zip(errors.REFINED, ours, strict=True):
             own = runs[(runs["method"] == method) & (runs["duration_s"] == duration_s)]
             np.testing.assert_allclose(drawn[:, 1], flight_means(own, error)["mean"])
-        (level,) = dashed(axes)
+        (level,) = (line for line in axes.lines if line.get_linestyle() == "--")
         assert list(level.get_ydata()) == [ERRORS[error].mark] * 2
     without = beyond_figure(made_up_runs(("joint", "ssac"), 2), PUBLISHED)
     assert labels(without)[:3] == ["the paper's ssac", "ssac", "joint"]
@@ -217,7 +209,8 @@ def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marke
             # A line is moved aside as a whole, by a factor of its own.
             assert np.ptp(line[:, 0] / expected.index) == pytest.approx(0.0, abs=1e-9)
         assert len({line[0, 0] for line in lines}) == 3
-        assert [line.get_xdata()[0] for line in dashed(axes)] == [200.0]
+        (default,) = (line for line in axes.lines if line.get_linestyle() == "--")
+        assert default.get_xdata()[0] == 200.0
     title, names = said(figure)
     assert title == "Errors of one flight: focal length"
     # There are no bars and no hollow markers, so the legend explains none.
@@ -256,7 +249,8 @@ def test_refusals_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     assert axes[3].get_title() == "refused runs [%]"
     bars = [float(bar.get_segments()[-1][1, 1]) for bar in axes[3].collections]
     assert bars == pytest.approx([0.0, 30.0, 0.0])
-    assert [line.get_xdata()[0] for line in hollow(axes[0])] == [pytest.approx(1600.0)]
+    (hollow,) = (line for line in axes[0].lines if line.get_markerfacecolor() == "white")
+    assert hollow.get_xdata()[0] == pytest.approx(1600.0)
     assert [text.get_text() for text in axes[0].texts] == ["7"]  # of 10
     assert style.SURVIVORS[0] in labels(figure)
     runs.loc[own, "status"] = "too_few_samples"

@@ -81,7 +81,6 @@ def row(**changes):
 
 RUNS = Runs("runs.csv", ("flight", "method"), numbered=False)
 TABLES = replace(all_studies()["tables"], runs=RUNS)
-MEASURED = again.measured_by(TABLES)
 WORDS = "23 sample times are valid at 0.055 s, 33 % beyond, 5 deg apart: 30 are needed"
 
 
@@ -136,7 +135,7 @@ def test_every_number_counts_and_may_differ_by_rounding(method, name, mine, comm
 def test_no_number_may_be_doubled_halved_or_negated_and_no_column_or_run_gone():
     assert faults(row(), row()) == []
     for name, value in row().iloc[0].items():
-        if name in MEASURED or str(name).startswith("n_"):
+        if name in again.measured_by(TABLES) or str(name).startswith("n_"):
             for factor in (2.0, 0.5, -1.0):
                 other = f"{factor * float(value):.6g}"
                 assert len(faults(row(), row(**{str(name): other}))) == 1, name
@@ -160,8 +159,7 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(results, monkey
     verify = partial(run, "verify", "--results", results, "--workers", 1)
     output = verify("--recordings", 3)
     assert output.endswith("all of it as committed\n")
-    seed = output.partition("--sample-seed ")[2].split()[0]
-    verify("--recordings", 3, "--sample-seed", seed)
+    verify("--recordings", 3, "--sample-seed", output.partition("--sample-seed ")[2].split()[0])
     assert seen[0] == seen[1]
     assert "--recordings 300 --only squares\n" in verify("--recordings", 300, "--only", "squares")
     assert [name for name, _ in seen.pop()] == ["squares"]

@@ -74,8 +74,7 @@ def files_of(tmp_path, monkeypatch):
     def files(words, *studies, out="out", **parts):
         app = typer.Typer()
         app.command()(command_of(parts or {"all": studies}, "Squares."))
-        folders = "--out", tmp_path / out, "--cache", tmp_path / "cache"
-        run(*words.split(), *folders, app=app)
+        run(*words.split(), "--out", tmp_path / out, "--cache", tmp_path / "cache", app=app)
         return {path.name: path for path in (tmp_path / out).iterdir()}
 
     return files

@@ -28,8 +28,7 @@ def _sum(half):
 
 
 def _table(results):
-    table = results.table("squares").astype(str)
-    return markdown_table(table)
+    return markdown_table(results.table("squares").astype(str))
 
 
 NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _table}

@@ -72,8 +72,7 @@ def test_a_skewed_clock_is_right_in_the_middle_of_a_files_flight(fresh, monkeypa
     with_method(monkeypatch, lambda *_: found)
     cell = cell_of(0.05)
     sim = replace(cell.sim, trajectory_file=tmp_path / "flight.csv", skew_ppm=1000.0)
-    row = scored_row(replace(cell, sim=sim), fresh)
-    assert row.t_d_error_ms == pytest.approx(0.0, abs=1e-9)
+    assert scored_row(replace(cell, sim=sim), fresh).t_d_error_ms == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):

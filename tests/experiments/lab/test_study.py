@@ -20,13 +20,12 @@ from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.pool import DiedError, Pool, Processes
 from experiments.lab.results import SUMS_FILE, csv_text, read_table
 from experiments.lab.schedule import MAX_DEATHS, Workers, recordings_key, run_cells
-from experiments.lab.study import Runs, check_runs, numbered, run_study
+from experiments.lab.study import Runs, check_runs, run_study
 from sim.recording import SimConfig
 from ssac.errors import SsacError, WriteError
 from tests.experiments.command import run as command
 from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 
-NUMBERS = range(4)
 LOADED = []  # numbers whose recordings were loaded
 FAULTS = {}  # errors to raise, by "number 3" or "power 2"
 
@@ -60,7 +59,7 @@ def power_row(cell, number):
     return SquareRow("ok", "", number**cell.power / 7)
 
 
-CELLS = [PowerCell(number, power) for power in (1, 2) for number in NUMBERS]
+CELLS = [PowerCell(number, power) for power in (1, 2) for number in range(4)]
 VALUES = [cell.number**cell.power / 7 for cell in CELLS]
 MEASURE = Measure(load_number, power_row, SquareRow)
 STUDY = replace(
@@ -100,13 +99,6 @@ def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path):
     content = json.loads((tmp_path / "squares_runs.provenance.json").read_text())
     assert content["command"] == "ssac study squares"
     assert content["config"] == {"study": "squares", "shard": "1/1", "powers": [1, 2]}
-
-
-@pytest.mark.parametrize("n_shards", [1, 2, 3, 5])
-def test_shards_are_a_partition_that_splits_no_recording(n_shards):
-    shards = [numbered(CELLS, (index + 1, n_shards)) for index in range(n_shards)]
-    assert sorted(number for shard in shards for number, _ in shard) == list(range(8))
-    assert sum(len({cell.number for _, cell in shard}) for shard in shards) == 4
 
 
 def test_merged_shards_are_the_same_bytes_even_where_one_has_no_rows(tmp_path):

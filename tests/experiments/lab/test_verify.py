@@ -111,8 +111,7 @@ def test_runs_that_two_studies_share_are_the_same(results):
     fault = "row 5: square is 98, there 49 (squares_runs.csv, row 5)"
     for others, faults in ((text, ()), (squares.double_a_number(text), (fault,))):
         beside = Results(results, {"others_runs.csv": others})
-        found = [one.faults for one in verify.shared_findings(twins, beside)]
-        assert found == [(), faults]
+        assert [one.faults for one in verify.shared_findings(twins, beside)] == [(), faults]
 
 
 def test_faults_are_short_and_name_the_line():

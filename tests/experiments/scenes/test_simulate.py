@@ -40,8 +40,7 @@ def truth_of(folder):
 @pytest.mark.render
 def test_the_folder_holds_what_the_design_says(tmp_path):
     plain = tmp_path / "new" / "recording"
-    more = ["--t-d", 0.05, "--skew-ppm", 1000, "--angle", 60, "--text"]
-    simulate(plain, *FAST, *more)
+    simulate(plain, *FAST, "--t-d", 0.05, "--skew-ppm", 1000, "--angle", 60, "--text")
     files = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json", "truth.tum"}
     assert files == FILES  # of a demo, which replaces no others
     assert {path.name for path in plain.iterdir()} == {*files, "cam1.txt", "cam2.txt"}

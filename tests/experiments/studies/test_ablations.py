@@ -1,5 +1,6 @@
 """Ablations and users' own grids: tables and figures of their runs, and tangency's variants."""
 
+from itertools import product
 from pathlib import Path
 from shutil import copy
 
@@ -38,9 +39,7 @@ def runs() -> pd.DataFrame:
          "t_d_error_ms": 1.0 + flight + angle_deg,
          "r_error_deg": 0.5 + flight if method == "ssac" else np.nan,
          "t_error_deg": 0.5 if method == "ssac" else np.nan}
-        for angle_deg in (30, 90)
-        for flight in range(4)
-        for method in ("ssac", "event_rate")
+        for angle_deg, flight, method in product((30, 90), range(4), ("ssac", "event_rate"))
     ]  # fmt: skip
     table = pd.DataFrame(rows)
     table.loc[[0, 2], "status"] = "search_bound"
@@ -50,9 +49,8 @@ def runs() -> pd.DataFrame:
 
 @pytest.mark.parametrize("table", [ablation_table(runs(), VARIED), points_table(runs(), VARIED)])
 def test_each_point_is_a_row_with_the_means_of_what_was_answered(table: pd.DataFrame) -> None:
-    assert list(zip(table["sim.angle_deg"], table["method"], strict=True)) == [
-        (30, "ssac"), (30, "event_rate"), (90, "ssac"), (90, "event_rate"),
-    ]  # fmt: skip
+    points = zip(table["sim.angle_deg"], table["method"], strict=True)
+    assert list(points) == list(product((30, 90), ("ssac", "event_rate")))
     assert list(table["t_d_error_ms_mean"]) == [34.0, 32.5, 92.5, 92.5]
     assert list(table["t_d_error_ms_median"]) == [34.0, 32.5, 92.5, 92.5]
     assert list(table["r_error_deg_mean"].dropna()) == [3.5, 2.0]
@@ -76,8 +74,7 @@ def test_ablations_and_points_count_what_was_refused_and_how_runs_scatter() -> N
 
 @pytest.mark.parametrize("kind", [float, str])
 def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: type) -> None:
-    table = points_table(runs(), VARIED).astype({"sim.angle_deg": kind})
-    figure = points_figure(table, VARIED)
+    figure = points_figure(points_table(runs(), VARIED).astype({"sim.angle_deg": kind}), VARIED)
     assert len(figure.axes) == len(ERRORS)
     if kind is float:  # words are drawn over the methods
         assert [len(axes.containers) for axes in figure.axes] == [2, 2, 2]
@@ -88,8 +85,7 @@ def test_the_figure_of_ones_own_grid_has_the_axis_that_its_file_asks_for() -> No
     look = {"x": "sim.angle_deg", "label": "angle [mrad]", "scale": 17.45, "log": True}
     grid = grid_from_content("my", {"grid": {"sim": {"angle_deg": [30, 90]}}, "figure": look})
     (draw,) = (one for one in sweep_study(grid, "my.csv", "").makes if one.file == "my.png")
-    table = csv_text(points_table(runs(), VARIED))
-    figure = draw.make(Results(Path(), {"my_cells.csv": table}))
+    figure = draw.make(Results(Path(), {"my_cells.csv": csv_text(points_table(runs(), VARIED))}))
     assert len(figure.axes) == len(ERRORS)
     for axes in figure.axes:
         assert (axes.get_xlabel(), axes.get_xscale()) == ("angle [mrad]", "log")
@@ -111,15 +107,6 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(
     assert "t_d_error_ms ± median" in run(command, tmp_path / "my.toml", *folders)  # the table
     names = {f"{name}{end}" for name in tables for end in (".csv", ".provenance.json")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, f"{figure}.png"}
-
-
-def test_two_files_of_one_name_are_refused(tmp_path) -> None:
-    configs = [tmp_path / folder / "my.toml" for folder in "ab"]
-    for config in configs:
-        config.parent.mkdir()
-        config.write_text(TOML)
-    with pytest.raises(SsacError, match=r"my_runs\.csv would be written twice"):
-        run("ablate", *configs, "--out", tmp_path / "out")
 
 
 def test_ones_own_grid_does_not_replace_a_result_of_the_project(tmp_path) -> None:

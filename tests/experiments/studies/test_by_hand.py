@@ -88,8 +88,7 @@ def test_the_command_tries_settings_where_the_default_is_not_right(tmp_path, mon
     of_one = ("--base", 1, "--first", 17, "--recordings", 1, "--workers", 1)
 
     def tried(*options: str) -> pd.DataFrame:
-        folders = ("--out", tmp_path, "--cache", tmp_path / "cache")
-        run("by-hand", *of_one, *folders, *options)
+        run("by-hand", *of_one, "--out", tmp_path, "--cache", tmp_path / "cache", *options)
         return pd.read_csv(tmp_path / "by_hand_runs.csv").set_index("setting")
 
     default, *others = tried().to_dict("records")

@@ -43,14 +43,12 @@ def row_of(table: pd.DataFrame, quantity: str, angle: str = "all") -> dict[str, 
     return row
 
 
-@pytest.fixture(scope="module")
-def right() -> pd.DataFrame:
-    return coverage_table(drawn_runs())
+RIGHT = coverage_table(drawn_runs())
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_right_deviations_cover_what_they_say(right: pd.DataFrame, quantity: str) -> None:
-    row = row_of(right, quantity)
+def test_right_deviations_cover_what_they_say(quantity: str) -> None:
+    row = row_of(RIGHT, quantity)
     assert (row["n_runs"], row["refused"]) == (400, 0)
     # Four standard errors of 400 runs: 1 / sqrt(800) of the RMS, sqrt(p (1 - p) / 400) of a share.
     assert row["rms_normalised"] == pytest.approx(1.0, abs=0.14)
@@ -67,14 +65,13 @@ def test_wrong_deviations_are_found_out(scale: float, sign: int) -> None:
         row = row_of(table, quantity)
         assert row["rms_normalised"] == pytest.approx(scale, rel=0.14)
         assert sign * (row["coverage_68"] - 0.68) > 0.1
-        bound = row["coverage_95_low" if sign > 0 else "coverage_95_high"]
-        assert sign * (bound - 0.95) > 0.0
+        assert sign * (row["coverage_95_low" if sign > 0 else "coverage_95_high"] - 0.95) > 0.0
 
 
-def test_angles_are_told_apart_and_a_known_pose_has_no_region(right: pd.DataFrame) -> None:
-    assert set(right["angle_deg"]) == {"all", "30", "90"}
-    assert row_of(right, "t_d", "30")["n_runs"] == 200
-    assert set(right.loc[right["method"] == "joint-known", "quantity"]) == OF_CLOCKS
+def test_angles_are_told_apart_and_a_known_pose_has_no_region() -> None:
+    assert set(RIGHT["angle_deg"]) == {"all", "30", "90"}
+    assert row_of(RIGHT, "t_d", "30")["n_runs"] == 200
+    assert set(RIGHT.loc[RIGHT["method"] == "joint-known", "quantity"]) == OF_CLOCKS
 
 
 def test_a_refused_run_is_counted_and_covers_nothing() -> None:

@@ -55,8 +55,11 @@ FLOWN = make_scene(seed=3)
 FLIGHT = fly(FLOWN)
 
 
-def errors_with_noise(noises_px: Array, pose_is_known: bool) -> Array:
-    """Errors (TRIALS, 3) of t_d [s] and of the angles [rad] of R and t, by least squares."""
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.3, 3.0)])  # equal, or known by weights
+@pytest.mark.parametrize("pose_is_known", [False, True])
+def test_least_squares_reach_the_bound(low, high, pose_is_known) -> None:
+    noises_px = 0.3 * np.random.default_rng(1).uniform(low, high, len(FLIGHT["p1_px"]))
+    least = efficiency.cramer_rao_bound(information(FLIGHT, noise_px=noises_px), pose_is_known)
     rng, errors = np.random.default_rng(0), []
     R, t, true_px = FLIGHT["R"], FLIGHT["t"], np.array([FLIGHT["p1_px"], FLIGHT["p2_px"]])
     times, weights = np.arange(len(noises_px), dtype=np.float64), 1.0 / noises_px
@@ -64,19 +67,10 @@ def errors_with_noise(noises_px: Array, pose_is_known: bool) -> Array:
         p1, p2 = true_px + noises_px[:, None] * rng.standard_normal(true_px.shape)
         pairs = WeighedPairs(times, p1, p2, FLIGHT["v2_px_s"], weights, 0.0)
         problem = Problem(pairs, FLIGHT["rig"], FitRules(), pose_is_known, turn=LEAST_SQUARES)
-        found = solve(problem, Parameters(0.0, R, t)).parameters
-        angles_deg = synthetic.rotation_angle_deg(found.R, R), synthetic.angle_deg(found.t, t)
-        errors.append([found.t_d_s, *np.deg2rad(angles_deg)])
-    return np.array(errors)
-
-
-@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.3, 3.0)])  # equal, or known by weights
-@pytest.mark.parametrize("pose_is_known", [False, True])
-def test_least_squares_reach_the_bound(low, high, pose_is_known) -> None:
-    noises_px = 0.3 * np.random.default_rng(1).uniform(low, high, len(FLIGHT["p1_px"]))
-    least = efficiency.cramer_rao_bound(information(FLIGHT, noise_px=noises_px), pose_is_known)
-    errors = errors_with_noise(noises_px, pose_is_known)
-    found = np.sqrt(np.mean(errors**2, axis=0))[: 1 if pose_is_known else 3]
+        made = solve(problem, Parameters(0.0, R, t)).parameters
+        angles_deg = synthetic.rotation_angle_deg(made.R, R), synthetic.angle_deg(made.t, t)
+        errors.append([made.t_d_s, *np.deg2rad(angles_deg)])  # [s, rad, rad]
+    found = np.sqrt(np.mean(np.square(errors), axis=0))[: 1 if pose_is_known else 3]
     assert found == pytest.approx(least[: len(found)], rel=WITHIN)
     assert np.isnan(least[1:]).all() == pose_is_known
 
@@ -103,8 +97,7 @@ def test_what_the_motion_does_not_tell_has_no_bound() -> None:
         return np.column_stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle) + 5.0])
 
     # It would be infinite if velocities were exact: as differences, they err by 1e-8.
-    turning = fly(Scene(FLOWN.R, FLOWN.t, circle, 20.0))
-    assert bound_of(turning)[0] > 1e3 * bound_of(FLIGHT)[0]
+    assert bound_of(fly(Scene(FLOWN.R, FLOWN.t, circle, 20.0)))[0] > 1e3 * bound_of(FLIGHT)[0]
 
 
 TIMES_S = np.linspace(0.5, 9.5, 181)
@@ -146,10 +139,9 @@ def test_the_true_track_is_where_the_cameras_see_the_drone(truth: FlightTruth) -
 
 
 def test_the_noise_measured_is_that_of_the_positions() -> None:
-    rng = np.random.default_rng(0)
     p1, p2 = track_pair(SCENE, np.linspace(0.0, 10.0, 20_000))
     F = fundamental_from_pose(K, K, SCENE.R, SCENE.t)
-    noise = 0.3 * rng.standard_normal((2, *p1.shape))
+    noise = 0.3 * np.random.default_rng(0).standard_normal((2, *p1.shape))
     distances = sampson_distance(F, p1 + noise[0], p2 + noise[1])
     assert robust_deviation(distances) == pytest.approx(0.3, rel=0.03)  # three times 1.17 / sqrt(n)
     distances[::20] = 50.0  # the median of all is now the 0.526 quantile of the others
@@ -189,8 +181,7 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(tr
         assert delayed.t_d_bound_ms == pytest.approx(found[method].t_d_bound_ms, rel=1e-2)
     assert len({one.sigma_px for one in found.values()}) == 3
     # tangency has two tangents at each of its sample times, unless the object is out of view.
-    share = found["tangency"].n_samples / (2.0 * 10.0 / TangencyRules().step_s)
-    assert 0.7 < share < 1.0
+    assert 0.7 < found["tangency"].n_samples / (2.0 * 10.0 / TangencyRules().step_s) < 1.0
 
 
 def test_samples_are_of_both_views_at_one_instant(pair) -> None:

@@ -21,8 +21,8 @@ SIM = SimConfig(spline=replace(SimConfig().spline, duration_s=DURATION_S))
 
 
 def row_of(found: Estimate, skew_ppm: float = 0.0) -> ImperfectRow:
-    truth = Truth(T_D_S, SCENE.R, T, skew_ppm, 3.0)
-    return ImperfectRow(**imperfect.given_columns(found, truth))
+    given = imperfect.given_columns(found, Truth(T_D_S, SCENE.R, T, skew_ppm, 3.0))
+    return ImperfectRow(**given)
 
 
 def test_an_offset_is_scored_where_it_holds_and_what_is_refused_has_no_errors() -> None:
@@ -55,8 +55,7 @@ def test_the_ends_are_where_the_clock_says() -> None:
     clock = {"t_ref_s": 3.0, "clock_covariance": np.diag([1e-5, 1e-5]) ** 2}
     found = Estimate("tangency", t_d_s=T_D_S + 1e-5, skew_ppm=60.0, **clock)
     truth = Truth(T_D_S, SCENE.R, SCENE.t, 50.0, 3.0)
-    normalised = 0.04 / (1e-2 * np.sqrt(10.0))
-    expected = {"ends_error_ms": 0.04, "ends_normalised": normalised}
+    expected = {"ends_error_ms": 0.04, "ends_normalised": 0.04 / (1e-2 * np.sqrt(10.0))}
     assert requirements.ends_of(found, truth) == pytest.approx(expected)
     assert not requirements.ends_of(replace(found, status="no_match"), truth)
 
@@ -91,8 +90,7 @@ def test_runs_on_one_flight_count_as_the_independent_ones_that_tell_as_much() ->
     share, n = imperfect.share_by_flight(np.repeat(alike, 10), flights)
     # As many as there are flights, but for the one that their mean takes.
     assert (share, n) == (0.9, pytest.approx(59.0))
-    rng = np.random.default_rng(0)
-    _, n = imperfect.share_by_flight(rng.random(600) < 0.9, flights)
+    _, n = imperfect.share_by_flight(np.random.default_rng(0).random(600) < 0.9, flights)
     assert n > 400.0  # of 600: a design effect of 60 flights has a deviation of .18
     assert imperfect.share_by_flight(np.ones(30, bool), flights[:30]) == (1.0, 30.0)
 

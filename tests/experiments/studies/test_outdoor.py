@@ -64,15 +64,13 @@ def test_the_set_up_is_the_papers(truth: FlightTruth) -> None:
         # 15 to 60 m, but for the tails of a random flight.
         assert 10.0 < distances_m.min() < distances_m.max() < 65.0
     positions_px, last_px = np.array(truth.centres_px), np.array(CONFIG.resolution) - 1.0
-    seen = np.all((positions_px >= 0.0) & (positions_px <= last_px), axis=(0, 2))
-    assert np.mean(seen) > 0.8
+    assert np.mean(np.all((positions_px >= 0.0) & (positions_px <= last_px), axis=(0, 2))) > 0.8
 
 
 def test_rtk_is_the_antenna_on_a_clock_of_its_own(truth: FlightTruth) -> None:
     rtk = outdoor.rtk_of(truth, 0)
     assert np.diff(rtk.times_s) == pytest.approx(0.2, abs=0.0051)  # on the truth's 5 ms grid
-    scene_s = Clock(18.4, 5.0).cam1_from_cam2(rtk.times_s)
-    k = np.rint(200.0 * scene_s).astype(int)
+    k = np.rint(200.0 * Clock(18.4, 5.0).cam1_from_cam2(rtk.times_s)).astype(int)
     arms_m = Rotation.from_quat(truth.quaternions[k]).apply(outdoor.LEVER_ARM_M)
     noise_m = rtk.positions_m - truth.positions_m[k] - arms_m
     np.testing.assert_allclose(np.std(noise_m, axis=0), (0.01, 0.01, 0.02), rtol=0.15)  # of 300

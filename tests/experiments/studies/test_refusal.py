@@ -123,8 +123,7 @@ def test_a_nose_follows_its_course(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     flown: list[Trajectory] = []
     monkeypatch.setattr(open_flights, "trajectory_to_csv", lambda one, *_: flown.append(one))
     monkeypatch.setattr(open_flights, "recorded_pair", lambda *_: None)
-    config = open_flights.flight_config("orbit", 90.0)
-    open_flights.flight_of("orbit", config, 5, Cache(tmp_path))
+    open_flights.flight_of("orbit", open_flights.flight_config("orbit", 90.0), 5, Cache(tmp_path))
     times_s, step_s = np.linspace(0.1, 7.9, 40), 1e-4
     course = flown[0].position(times_s + step_s) - flown[0].position(times_s - step_s)
     course /= np.linalg.norm(course, axis=1)[:, None]

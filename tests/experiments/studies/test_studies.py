@@ -38,8 +38,7 @@ OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "fidelit
 
 
 def test_every_grid_of_the_project_is_a_table_or_a_study() -> None:
-    tables = {"esim_10", "esim_20"}
-    assert {name for name in config_names("") if name not in STUDIES} == tables
+    assert {*config_names("")} - {*STUDIES} == {"esim_10", "esim_20"}
     assert [study.name for study in ABLATIONS.values()] == config_names("ablation_")
     assert all(name == study.name for name, study in STUDIES.items())
 
@@ -48,8 +47,7 @@ def test_every_grid_of_the_project_is_a_table_or_a_study() -> None:
 def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) -> None:
     cells = cells_of(STUDIES[name])
     table = pd.DataFrame([cell.columns for cell in cells])
-    keys = table[list(STUDIES[name].runs.keys)].astype(str)
-    assert not keys.duplicated().any()
+    assert not table[list(STUDIES[name].runs.keys)].astype(str).duplicated().any()
     for cell in cells[:: max(1, len(cells) // 50)]:
         if name.startswith(("network", "outdoor", "mini", "error", "light")):
             continue  # scenes of their own, with other seeds
@@ -133,8 +131,7 @@ def test_flights_of_studies_are_their_own() -> None:
     for name in OWN_FLIGHTS:
         cells = cells_of(STUDIES[name])
         seeds[name] = {cell.columns["seed"] for cell in cells}
-        others = {getattr(cell, "other_seed", None) for cell in cells}
-        assert not seeds[name] & others, name
+        assert not seeds[name] & {getattr(cell, "other_seed", None) for cell in cells}, name
     for (name, mine), (other, theirs) in combinations(seeds.items(), 2):
         assert not mine & theirs, (name, other)
 

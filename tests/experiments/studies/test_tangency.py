@@ -9,6 +9,7 @@ from experiments.lab.cache import Cache
 from experiments.studies import tangency as oracle
 from experiments.studies.tangency import CauseCell, FilmedPair
 from sim.recording import SimConfig
+from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
 from ssac.camera import known_pose
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
@@ -19,8 +20,7 @@ from ssac.track.outline import tangents
 pytestmark = pytest.mark.render
 
 T_D_S = 0.05
-SPLINE = replace(SimConfig().spline, duration_s=5.0)
-SIM = SimConfig(t_d_s=T_D_S, spline=SPLINE, frames=FrameConfig(rate_hz=0.0))
+SIM = SimConfig(t_d_s=T_D_S, spline=SplineConfig(5.0), frames=FrameConfig(rate_hz=0.0))
 CELL = CauseCell(SIM, 0, 1, oracle.AS_IT_IS)
 
 

@@ -1,11 +1,9 @@
 """The bench: its kinds of imperfection, and a short recording from its simulation to its rows."""
 
-from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
-import pandas as pd
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair
@@ -23,8 +21,7 @@ ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
 
 def test_a_kind_has_the_imperfections_that_it_says_and_each_changes_the_bench() -> None:
     names = set(IMPERFECTIONS)
-    assert set(KINDS[NONE]) == set()
-    assert set(KINDS[ALL]) == names
+    assert (set(KINDS[NONE]), set(KINDS[ALL])) == (set(), names)
     for name in names:
         assert set(KINDS[only(name)]) == {name}
         assert set(KINDS[all_but(name)]) == names - {name}
@@ -40,9 +37,7 @@ def test_what_is_not_calibrated_is_true() -> None:
     )
     assert (rig.cam1.K == true.cameras[0].K).all()
     assert (true.relative_pose(0, 1) == rig.T_2_1).all()
-    errors = [of_intrinsics.cam1.K - rig.cam1.K, of_intrinsics.cam2.K - rig.cam2.K]
-    assert errors[0].any()
-    assert not np.allclose(*errors, rtol=1e-3)  # one draw for both would make them err alike
+    assert (of_intrinsics.cam1.K != rig.cam1.K).any()
     assert (of_intrinsics.T_2_1 == rig.T_2_1).all()
     assert (of_truth.cam1.K == rig.cam1.K).all()
     assert (of_truth.T_2_1 != rig.T_2_1).any()
@@ -74,8 +69,7 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
         of_kind = bench_of(kind, ANGLE_DEG, DURATION_S, setup)
         methods = ("ssac", "joint", "tangency")
         cells += bench.cells_of(of_kind, {"kind": kind}, FLIGHT, (5.0, 50.0), methods)
-    run = partial(run_cells, cells, Cache(tmp_path), Workers(1), "", False, measure=bench.PHYSICAL)
-    outcome = run()
+    outcome = run_cells(cells, Cache(tmp_path), Workers(1), "", False, measure=bench.PHYSICAL)
     runs = outcome.runs
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
@@ -90,6 +84,3 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     np.testing.assert_allclose(errors[5.0], errors[50.0], atol=1e-6)
     counts = runs.groupby("kind")["n_events_cam1"].first()
     assert counts[only("wire")] > counts[NONE]
-    again = run()
-    pd.testing.assert_frame_equal(again.runs, runs)
-    assert again.n_recordings == 0

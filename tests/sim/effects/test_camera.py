@@ -17,8 +17,6 @@ from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
 from tests.sim.scenes import QUICK, rng, smooth_video, whole_images
 
-SHORT = replace(QUICK, spline=SplineConfig(0.4), frames=FrameConfig(25.0))
-
 
 def camera_of(effects, frames=None, index=0, seed=0):
     grey = np.full((200, 300), 0.5, np.float32)
@@ -64,16 +62,14 @@ def test_frames_have_noise_that_grows_with_the_light():
 
 
 def test_lamps_light_frames_as_their_exposures_catch_them():
-    effects = SensorEffects(flicker_depth=0.3)
     config = FrameConfig(rate_hz=40.0, exposure_s=0.002)
-    camera, levels = camera_of(effects, config), list[float]()
+    camera, levels = camera_of(SensorEffects(flicker_depth=0.3), config), list[float]()
     take = camera.through_noise(lambda _, image: levels.append(image.mean()))
     for k in range(40):
         take(k, np.full((200, 300), 100, np.uint8))
     times_s = np.arange(40) / 40.0 + np.linspace(0.0, 0.002, 101)[:, None]
     light = 1.0 + 0.3 * np.cos(2 * np.pi * 100.0 * times_s + camera.flicker_rad)
-    expected = 100.0 * light.mean(axis=0)
-    np.testing.assert_allclose(levels, expected, atol=0.6)
+    np.testing.assert_allclose(levels, 100.0 * light.mean(axis=0), atol=0.6)
 
 
 def test_phases_of_frames_differ_between_cameras():
@@ -83,8 +79,7 @@ def test_phases_of_frames_differ_between_cameras():
         [[camera_of(effects, config, i, seed).frame_start_s for i in (0, 1)] for seed in range(200)]
     )
     # Phases are uniform over the period of 40 ms: 200 draws, of deviation 11.5 ms, per camera.
-    assert starts_s.min() >= 0.0
-    assert starts_s.max() < 0.04
+    assert 0.0 <= starts_s.min() <= starts_s.max() < 0.04
     np.testing.assert_allclose(starts_s.mean(axis=0), 0.02, atol=5 * 0.0115 / 200**0.5)
     assert abs(np.corrcoef(starts_s.T)[0, 1]) < 0.3
 
@@ -101,7 +96,7 @@ def test_an_effect_leaves_what_is_not_its_own():
     """Each sensor draws from its own stream: less light in camera 2 does not affect camera 1."""
     effects = SensorEffects(illuminance_lux=50.0, cutoff_hz_per_lux=30.0)
     one, two, with_gaps = (
-        simulate(replace(SHORT, effects=each), 0)
+        simulate(replace(QUICK, spline=SplineConfig(0.4), effects=each), 0)
         for each in (
             effects, replace(effects, camera2_light=0.1), replace(effects, frame_gap_s=0.01)
         )
@@ -148,8 +143,7 @@ def test_events_wait_as_in_a_queue_with_random_arrivals(load):
 @pytest.mark.parametrize(("gap_s", "rate_hz"), [(0.005, 25.0), (0.025, 25.0), (0.01, 50.0)])
 def test_frames_blind_the_events_while_they_are_read_out(gap_s, rate_hz):
     effects = SensorEffects(frame_gap_s=gap_s, frame_phase_spread=1.0)
-    frames = FrameConfig(rate_hz=rate_hz, exposure_s=0.004)
-    camera = camera_of(effects, frames, index=1, seed=3)
+    camera = camera_of(effects, FrameConfig(rate_hz, exposure_s=0.004), index=1, seed=3)
     events = events_at(rng(1).integers(0, 20_000_000, 200_000))
     left = camera.read_out(events, 20.0)
     assert 1 - len(left) / len(events) == pytest.approx(gap_s * rate_hz, rel=0.05)
@@ -161,14 +155,12 @@ def test_frames_blind_the_events_while_they_are_read_out(gap_s, rate_hz):
 @pytest.mark.parametrize("scan_s", [200e-6, 1e-3, 1 / 3000])
 def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s):
     events = events_at(rng(3).integers(0, 900_000, 5000))
-    camera = camera_of(SensorEffects(scan_s=scan_s))
-    stamped = camera.read_out(events.copy(), 1.0)
+    stamped = camera_of(SensorEffects(scan_s=scan_s)).read_out(events.copy(), 1.0)
     np.testing.assert_array_equal(stamped["x"], events["x"])  # none is lost or overtaken
     scans = 1e-6 * stamped["t"] / scan_s
     np.testing.assert_allclose(scans, np.rint(scans), atol=0.5e-6 / scan_s)  # whole microseconds
     waited_us = stamped["t"] - events["t"]
-    assert waited_us.min() >= 0
-    assert waited_us.max() <= np.ceil(1e6 * scan_s)
+    assert 0 <= waited_us.min() <= waited_us.max() <= np.ceil(1e6 * scan_s)
     # The 5000 waits are uniform over a period.
     assert waited_us.mean() == pytest.approx(5e5 * scan_s, rel=5 / 8660**0.5 + 0.005)
 

@@ -53,9 +53,7 @@ def test_instants_go_from_start_to_end_at_the_least_rate(seed):
     trajectory = random_spline(SplineConfig(4.0), rng(seed))
     config = SamplingConfig(max_step_px=50.0, min_rate_hz=80.0)  # no image moves that fast
     instants_s = choose_instants(quadrotor(), make_camera(number=1), trajectory, config)
-    assert instants_s[0] == 0.0
-    assert instants_s[-1] == trajectory.duration_s
+    assert (instants_s[0], instants_s[-1]) == (0.0, trajectory.duration_s)
     intervals_s = np.diff(instants_s)
-    assert intervals_s.min() > 0.0
-    assert intervals_s.max() <= (1.0 + 1e-9) / 80.0  # round-off
+    assert 0.0 < intervals_s.min() <= intervals_s.max() <= (1.0 + 1e-9) / 80.0  # round-off
     assert len(instants_s) <= 4.0 * 80.0 + 2

@@ -37,8 +37,7 @@ def test_the_average_equals_a_brute_force_sum(lattice):
     width, height = 7, 4
     tile = np.array(lattice.tile_size(width, height))
     corners = np.array([[0, 0], [3 + tile[0], 5], [2, 9 + tile[1]]])
-    atlas_size = corners.max(axis=0) + tile + 3
-    codes = rng.integers(0, FULL_CODE + 1, atlas_size[::-1])
+    codes = rng.integers(0, FULL_CODE + 1, (corners.max(axis=0) + tile + 3)[::-1])
     atlas = np.where(rng.random(codes.shape) < 0.6, OBJECT + codes, 0).astype(np.uint32)
     background = rng.random((30, 40)).astype(np.float32)
     corner_px = np.array([[0, 26], [11, 3], [33, 0]])

@@ -51,7 +51,6 @@ def unchecked(renderer="pyrender", a=16, b=1, **light):
 
 
 def drawn(drone, camera, times_s, T_W_B, background, config):
-    """Draw whole images of a scene."""
     with Renderer(drone, config) as renderer:
         crops = renderer.crops(camera, times_s, T_W_B, background)
         return whole_images(crops, times_s, background)
@@ -85,14 +84,12 @@ def test_batches_do_not_show(lens, renderer, monkeypatch):
 def test_memory_stays_flat(renderer):
     """Under OSMesa pyrender leaks 3 MB with every frame."""
     camera = make_camera(resolution=HALF_VGA)
-    n = 5_000
-    times_s = np.linspace(0.0, 1.0, n)
+    times_s = np.linspace(0.0, 1.0, 5_000)
     T_W_B = straight(times_s, (-0.5, 0.0, 0.0), (1.0, 0.0, 0.0))
-    background = grey(camera)
     with Renderer(quadrotor(0.4), unchecked(renderer, a=2)) as painter:
         resident_mb = []
         for _ in range(5):
-            for _ in painter.crops(camera, times_s, T_W_B, background):
+            for _ in painter.crops(camera, times_s, T_W_B, grey(camera)):
                 pass
             pages = int(Path("/proc/self/statm").read_text().split()[1])
             resident_mb.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
@@ -130,8 +127,7 @@ def test_leaving_and_entering_are_seen_as_a_change(renderer):
         crops = list(painter.crops(camera, times_s, T_W_B, background))
     times_seen = np.concatenate([crop.times_s for crop in crops])
     np.testing.assert_array_equal(times_seen, [2, 3, 4, 5, 8, 9, 10])
-    images = whole_images(crops, times_s, background)
-    shows_drone = (images != background).any(axis=(1, 2))
+    shows_drone = (whole_images(crops, times_s, background) != background).any(axis=(1, 2))
     np.testing.assert_array_equal(np.flatnonzero(shows_drone), [3, 4, 9])
 
 
@@ -292,10 +288,9 @@ def test_what_does_not_load_is_named(backend, pyrender, said, monkeypatch):
 )
 def test_draws_what_opengl_draws(drone, a, b, lens):
     camera = make_camera(lens, HALF_VGA)
-    times_s = np.linspace(0.0, 1.0, 12)
     T_W_B = tumbling(12, 3, (0.0, -1.0, 0.0), (3.5, 2.0, 2.5))  # some beyond the image's border
     background = noise_image(camera)
-    scene = (drone, camera, times_s, T_W_B, background)
+    scene = (drone, camera, np.linspace(0.0, 1.0, 12), T_W_B, background)
     ours, theirs = (drawn(*scene, unchecked(name, a, b)) for name in ("native", "pyrender"))
     difference = np.abs(ours.astype(np.float64) - theirs)
     shown = (theirs != background).sum()
@@ -343,14 +338,12 @@ def test_a_renderer_that_differs_is_refused(monkeypatch):
 
 def test_without_the_check_opengl_is_not_opened(monkeypatch):
     monkeypatch.setattr(GLPainter, "__init__", Mock(side_effect=AssertionError))
-    camera = make_camera()
-    scene = (BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera))
+    scene = (BOX, make_camera(), np.zeros(1), np.eye(4)[None], grey(make_camera()))
     assert drawn(*scene, unchecked("native")).min() < 0.6
 
 
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch):
     monkeypatch.setattr("sim.scene.drone.Faces", Mock(side_effect=MemoryError))
-    camera = make_camera()
-    scene = (painted(BOX, 0.2), camera, np.zeros(1), np.eye(4)[None], grey(camera))
+    scene = (painted(BOX, 0.2), make_camera(), np.zeros(1), np.eye(4)[None], grey(make_camera()))
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
         drawn(*scene, unchecked("native"))

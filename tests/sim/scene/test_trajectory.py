@@ -9,7 +9,6 @@ from sim.scene.trajectory import SplineConfig, random_spline, trajectory_from_cs
 from tests.sim.scenes import rng
 
 SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
-ROW = "{},{},0,1,0,0,0,1\n"  # t, x
 
 
 def spline(seed, config=SHORT):
@@ -76,8 +75,7 @@ def test_a_long_spline_is_fitted_as_a_short_one_is(monkeypatch, order):
 
 def test_an_hour_is_flown_within_the_circle():
     """Dense matrices would exhaust memory, and every draw of the whole would leave the circle."""
-    hour = spline(0, SplineConfig(duration_s=3600.0))
-    path = hour.position(np.linspace(0, 3600, 360_000))
+    path = spline(0, SplineConfig(duration_s=3600.0)).position(np.linspace(0, 3600, 360_000))
     # As above: the bulge between two instants of the check.
     assert radius_m(path) < 4.01
     # The hour's path is as spread out as short flights are.
@@ -99,7 +97,7 @@ def test_csv_round_trip(tmp_path):
 
 
 def test_csv_header_order_comments_and_start_time(tmp_path):
-    plain = "".join(ROW.format(t, t**2) for t in (10.0, 10.5, 11.0, 12.0))
+    plain = "".join(f"{t},{t**2},0,1,0,0,0,1\n" for t in (10.0, 10.5, 11.0, 12.0))
     rows = (f"0,0,0,2,{t**2},0,1,{t}  # row\n\n" for t in (10.0, 10.5, 11.0, 12.0))
     named = "# made by hand\nqx,qy,qz,qw,x,y,z,t\n" + "".join(rows)
     found, path = [], tmp_path / "path.csv"

@@ -7,7 +7,6 @@ CODE = 1.0 / 255.0
 
 
 def expose(config, video, times_s, background=None, start_s=0.0):
-    """Feed whole images, one by one."""
     still = np.zeros(video.shape[1:], np.float32) if background is None else background
     exposer, frames = exposer_in_memory(config, still, float(times_s[-1]), start_s)
     zero = np.zeros(1, np.int64)
@@ -64,8 +63,7 @@ def test_linear_light_is_integrated_exactly(n, exposure_s, start_s):
     ],
 )  # fmt: skip
 def test_only_whole_exposures_become_frames(config, duration_s, n):
-    still = np.full((2, 4, 5), 0.5, np.float32)
-    frames = expose(config, still, np.array([0.0, duration_s]))
+    frames = expose(config, np.full((2, 4, 5), 0.5, np.float32), np.array([0.0, duration_s]))
     assert frames.times_us.shape == (n,)
     assert frames.images.shape == (n, 4, 5)
     assert (frames.images == 128).all()
@@ -73,9 +71,8 @@ def test_only_whole_exposures_become_frames(config, duration_s, n):
 
 def test_crops_and_gaps_show_the_background():
     """Crops are as the renderer's: of several sizes, and none while the drone is out of view."""
-    rng = np.random.default_rng(3)
     n, height, width = 160, 20, 25
-    background = rng.random((height, width)).astype(np.float32)
+    background = np.random.default_rng(3).random((height, width)).astype(np.float32)
     times_s = uneven_times(n, 0.4, seed=4)
     video = np.repeat(background[None], n, axis=0)
     for k in (*range(20, 60), *range(110, 150)):
@@ -96,5 +93,4 @@ def test_crops_and_gaps_show_the_background():
     first_us, last_us = 1e6 * times_s[61] + 6000, 1e6 * times_s[108] - 6000
     away = (whole.times_us > first_us) & (whole.times_us < last_us)
     assert away.any()
-    still = np.rint(background * 255).astype(np.uint8)
-    assert (cropped.images[away] == still).all()
+    assert (cropped.images[away] == np.rint(background * 255)).all()
