@@ -660,8 +660,8 @@ class RetryRules:
     closer: ObjectRules = ObjectRules(
         several_share=0.005, cell_widths=1 / 86, apart_sizes=0.1, lasting_bins=25
     )
-    # A faint object that turns at up to 700 px/s^2, where no clouds are about: of those of
-    # `ssac by-hand --kind faint --base 2` and 3.
+    # A faint object that turns at up to 700 px/s^2, where no clouds are about: of the faint
+    # recordings of `ssac by-hand --base 2` and 3.
     followed: FaintRules = FaintRules(
         n_neighbours=5, rounds=2, acceleration=6000.0, max_speed_variance=1e7, min_clump_events=10
     )
