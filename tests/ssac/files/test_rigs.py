@@ -99,9 +99,6 @@ def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
     np.testing.assert_allclose(turn.apply(R @ T + T) + place, T, atol=1e-7)
 
 
-MISSING = object()
-
-
 @pytest.mark.parametrize(
     ("camera", "key", "value", "message"),
     [
@@ -119,7 +116,7 @@ MISSING = object()
         # A hundredth longer than a rotation; rounding to four digits changes a ten thousandth.
         ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
         *(
-            ("cam1", key, MISSING, f"cam1: {key} missing")
+            ("cam1", key, None, f"cam1: {key} missing")
             for key in ("camera_model", "intrinsics", "distortion_model", "resolution")
         ),
     ],
@@ -127,7 +124,7 @@ MISSING = object()
 def test_unusable_kalibr_values_are_refused(tmp_path, camera, key, value, message):
     document = _kalibr()
     document[camera][key] = value
-    if value is MISSING:
+    if value is None:
         del document[camera][key]
     with pytest.raises(SsacError, match=rf"rig\.yaml, .*{message}"):
         load_rig(_write(tmp_path / "rig.yaml", document))
