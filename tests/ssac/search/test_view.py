@@ -128,8 +128,7 @@ def test_readouts_are_found_beside_the_offset(seed, readouts_s):
 
 def test_images_move_as_the_readout_says():
     # The lens shifts rows by up to some 10 px, and the shutter reads distorted rows.
-    distorted = {"distortion_model": "radtan", "distortion_coeffs": (-0.3, 0.1, 0.001, -0.001)}
-    lens = replace(UNKNOWN, **distorted)
+    lens = replace(UNKNOWN, distortion_model="radtan", distortion_coeffs=(-0.3, 0.1, 1e-3, -1e-3))
     views = two_views(*flight(2, (0.01, 0.02)), Rig(lens, lens), CONFIG)
     shutters = shutters_of(views)
     readouts_s, step_s, times_s = np.array([0.012, 0.017]), 1e-4, np.linspace(3.0, 17.0, 80)
@@ -140,14 +139,13 @@ def test_images_move_as_the_readout_says():
 
     read_out = shutters.views(views, readouts_s)
     moves = shutters.moves(read_out, (times_s, times_s))
-    for k, motion in enumerate(read_out.motions):
+    for k, (motion, by_readout) in enumerate(zip(read_out.motions, moves, strict=True)):
         # A row is read out later by its share of the readout, in the distorted image. Noise of
         # 0.3 px is smoothed, and the path between points 30 ms apart is a pixel off its chord.
         rows = np.interp(times_s, motion.times_s, motion.rows)
         moved = -rows[:, None] * motion.sharp_at(times_s).velocities_px_s
-        off = np.linalg.norm(moves[k][k] - moved, axis=1) / np.linalg.norm(moved, axis=1)
+        off = np.linalg.norm(by_readout[k] - moved, axis=1) / np.linalg.norm(moved, axis=1)
         assert np.nanmedian(off) < 2e-3  # undistorted rows would give 0.01
-    for k, by_readout in enumerate(moves):
         step = step_s * np.eye(2)[k]
         numeric = (positions(readouts_s + step) - positions(readouts_s - step)) / (2.0 * step_s)
         errors = np.linalg.norm(np.stack(by_readout) - numeric, axis=2)
