@@ -166,8 +166,7 @@ def fitted(problem):
 
 def rig_of(focal, centre_px, **wrong):
     """Both cameras with stated deviations, and camera 1's intrinsics wrong by shares."""
-    camera = Camera(K, WIDTH, HEIGHT)
-    first = camera
+    first = camera = Camera(K, WIDTH, HEIGHT)
     for name, share in wrong.items():
         first = changed(first, NAMES.index(name), share)
     return Rig(*(with_deviations(one, focal, centre_px) for one in (first, camera)))

@@ -11,19 +11,6 @@ from ssac.network.normal import ORDER, Linear, Normal, Spline, jerks, knots_for,
 from ssac.network.state import CameraState, network_times, projected, with_strays
 from tests.ssac.network.flights import RULES, make_flight
 
-
-def dense(normal: Normal, linear: Linear, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dense matrix and right side of the same equations, with `own` (n,) added to the diagonal."""
-    m, n = len(normal.right_path), len(linear.first)
-    J = np.zeros((2 * n, m + len(normal.right_border)))
-    for i, at in enumerate(linear.first):
-        rows = slice(2 * i, 2 * i + 2)
-        J[rows, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
-        for c, place in enumerate(linear.columns[i]):
-            J[rows, m + place] += linear.by_camera[i, :, c]
-    return J.T @ J + np.diag(own), J.T @ linear.residuals.ravel()
-
-
 RNG = np.random.default_rng(0)
 ANYWHERE, PIECES = RNG.integers(0, 9, 80), np.repeat(np.arange(357), 2)
 OWN = RNG.integers(0, 5, 80)
@@ -51,9 +38,14 @@ def test_solution_and_covariance_are_those_of_the_dense_matrix(first, columns, l
     normal.add(linear)
     normal.add_rows(np.eye(b), np.ones(b))  # a prior on each camera's parameters
     normal.band[0] += least  # of a path whose ends few saw
-    matrix, right = dense(normal, linear, np.repeat([least, 1.0], [m, b]))
-    found, covariance = solve(normal, np.arange(b)), np.linalg.inv(matrix)
-    step = covariance @ (right + np.repeat([0.0, 1.0], [m, b]))
+    found, J = solve(normal, np.arange(b)), np.zeros((2 * n, m + b))  # J: the same, but dense
+    for i, at in enumerate(first):
+        rows = slice(2 * i, 2 * i + 2)
+        J[rows, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
+        for c, place in enumerate(columns[i]):
+            J[rows, m + place] += linear.by_camera[i, :, c]
+    covariance = np.linalg.inv(J.T @ J + np.diag(np.repeat([least, 1.0], [m, b])))
+    step = covariance @ (J.T @ linear.residuals.ravel() + np.repeat([0.0, 1.0], [m, b]))
     assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-8)
     assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-8)
     assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-8)
@@ -95,9 +87,8 @@ def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
     # A slow error of variance 0.04 stays for 0.5 s: 50 sightings share each value, and blocks of a
     # second hold two values. `repeats_of` does not sum up correlations as small as 0.04.
     slow = np.repeat(rng.normal(0.0, 0.2, (len(times_s) // 50, 2)), 50, axis=0)
-    assert repeats_in_blocks(times_s, white + slow, RULES.network) == pytest.approx(
-        1.0 + 0.04 * 50.0, rel=0.15
-    )
+    found = repeats_in_blocks(times_s, white + slow, RULES.network)
+    assert found == pytest.approx(1.0 + 0.04 * 50.0, rel=0.15)
     assert repeats_of(times_s, white + slow, RULES.network) < 1.5
 
 
