@@ -191,23 +191,21 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     assert "give seconds" in err
 
 
-def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
-    track = tmp_path / "cam1.csv"
-    _, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
+def test_events_and_a_track_of_events_may_be_mixed_but_of_several_things_with_a_warning(
+    recorded, tmp_path
+):
+    track, two = tmp_path / "cam1.csv", tmp_path / "two.h5"
+    options = "--rig", recorded / "rig.yaml", "--out", track
+    save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
+    _, _, err = run("track", two, *options)
+    assert "two.h5: 2 things move at a time" in err
+    assert err.count("warning") == 1
+    _, out, err = run("track", recorded.pair[0], *options)
     assert "points from" in out
     assert "warning" not in err
     result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
     assert result.status == "ok"
     assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # the same as for two event files
-
-
-def test_a_track_of_several_things_comes_with_a_warning(recorded, tmp_path):
-    two = tmp_path / "two.h5"
-    save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
-    args = ("--rig", recorded / "rig.yaml", "--out", tmp_path / "two.csv")
-    _, _, err = run("track", two, *args)
-    assert "two.h5: 2 things move at a time" in err
-    assert err.count("warning") == 1
 
 
 def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path):
@@ -426,12 +424,11 @@ def test_rtk_sets_the_scale_of_path_and_rig_or_contradicts_and_costs_them(flown,
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
 def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flown, files, tmp_path, unit):
     R, t_m = flown.poses[1]
-    rig, out = yaml.safe_load(files[-1].read_text()), tmp_path / "path.csv"
+    rig, out, again = yaml.safe_load(files[-1].read_text()), tmp_path / "a.csv", tmp_path / "b.yaml"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
     rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
-    again = tmp_path / "again.yaml"
     result, _ = answered(tmp_path, *files[:2], *options, "--write-rig", again)
     if unit == "first_baseline":
         T_2_1[:3, 3] /= flown.distance_m
