@@ -191,23 +191,21 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     assert "give seconds" in err
 
 
-def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
-    track = tmp_path / "cam1.csv"
-    _, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
+def test_events_and_a_track_of_events_may_be_mixed_but_of_several_things_with_a_warning(
+    recorded, tmp_path
+):
+    track, two = tmp_path / "cam1.csv", tmp_path / "two.h5"
+    options = "--rig", recorded / "rig.yaml", "--out", track
+    save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
+    _, _, err = run("track", two, *options)
+    assert "two.h5: 2 things move at a time" in err
+    assert err.count("warning") == 1
+    _, out, err = run("track", recorded.pair[0], *options)
     assert "points from" in out
     assert "warning" not in err
     result = sync(track, recorded.pair[1], recorded / "rig.yaml", "joint")
     assert result.status == "ok"
     assert result.t_d_s == pytest.approx(T_D_S, abs=TOLERANCE_S)  # the same as for two event files
-
-
-def test_a_track_of_several_things_comes_with_a_warning(recorded, tmp_path):
-    two = tmp_path / "two.h5"
-    save_events_h5(two, mixed(flight(4)[0], flight(5)[0])[0], WIDTH, HEIGHT)
-    args = ("--rig", recorded / "rig.yaml", "--out", tmp_path / "two.csv")
-    _, _, err = run("track", two, *args)
-    assert "two.h5: 2 things move at a time" in err
-    assert err.count("warning") == 1
 
 
 def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path):
@@ -232,11 +230,9 @@ def shuttered(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"), SCENE, 0.2, READOUT_S)
 
 
-def test_figures_show_the_pairs_with_the_readouts_found(shuttered, tmp_path):
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(yaml.safe_dump(rig_document()))
-    files = shuttered / "cam1.csv", shuttered / "cam2.csv"
-    result = sync(*files, rig, search="interval", estimate_readout=True)
+def test_figures_show_the_pairs_with_the_readouts_found(shuttered, pair):
+    files = shuttered / "cam1.csv", shuttered / "cam2.csv", pair / "rig.yaml"  # without a readout
+    result = sync(*files, search="interval", estimate_readout=True)
     shown_px = d_avg_px(result.answer, np.array([result.t_d_s]))
     assert shown_px[0] < 1.1 * result.d_avg_px  # of all pairs, few of which are left out
 
@@ -305,9 +301,8 @@ def test_three_cameras(flown, files, tmp_path):
     rig = load_rig(rig_file, (1, 3))
     np.testing.assert_allclose(rig.T_2_1[:3, :3], cam3["R"], atol=1e-12)  # by way of camera 2
     np.testing.assert_allclose(rig.T_2_1[:3, 3], cam3["t"], atol=1e-9)
-    shifts_s = [
-        entry.get("timeshift_cn_cnm1", 0.0) for entry in yaml.safe_load(rig_file.open()).values()
-    ]
+    entries = yaml.safe_load(rig_file.read_text()).values()
+    shifts_s = [entry.get("timeshift_cn_cnm1", 0.0) for entry in entries]
     # Offsets hold at different times, between which skews of some 100 ppm change them.
     assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
     assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
@@ -367,19 +362,33 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
         assert [pair["status"] for pair in found["pairs"]] == ["no_common_time"] * 3
 
 
-def test_two_cameras_write_a_path_without_a_third_that_fits_nowhere(flown, files, tmp_path):
-    out, late = tmp_path / "path.csv", save_another(tmp_path / "late.csv", 1000.0)
-    one, other, _, of_three = files
-    options = ("--rig", of_three, "--trajectory", out, "--distance", flown.distance_m)
-    result, _ = answered(tmp_path, one, other, *options)
+def test_two_cameras_write_a_path(flown, files, tmp_path):
+    out = tmp_path / "path.csv"
+    options = ("--rig", files[-1], "--trajectory", out, "--distance", flown.distance_m)
+    result, _ = answered(tmp_path, *files[:2], *options)
     assert "time offset" in result.stdout
     assert "which hold from" in result.stderr
     assert rms_off_m(flown, out) < 0.15  # more than with three cameras, as one view is missing
     path = read_path(out)
     assert path.deviations_m.shape == path.positions_m.shape
-    rig = tmp_path / "rig.yaml"
-    options = ("--rig", of_three, "--write-rig", rig, "--distance", 7)  # one camera gets no place
-    result, found = answered(tmp_path, one, late, other, *options, code=NO_ESTIMATE)
+
+
+@pytest.mark.parametrize(
+    ("option", "why"),
+    [("--distance", "cameras 1 and 2 are not"), ("--positions", ".*: positions of at least 3 cam")],
+)
+def test_a_camera_that_fits_nowhere_gets_no_place_and_no_scale_rests_on_it(
+    flown, files, tmp_path, option, why
+):
+    late, stated, rig = (tmp_path / name for name in ("late.csv", "positions.csv", "rig.yaml"))
+    save_another(late, 1000.0)
+    stated.write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,9,0,0\n3,0,9,0\n")
+    near = "--search", *(flown.clocks[1].t_d_s + np.array([-1.0, 1.0]))
+    options = ("--rig", files[-1], "--write-rig", rig, *near)
+    scale = (option, 7 if option == "--distance" else stated)
+    args = (files[0], late, files[1], *options, *scale)
+    result, found = answered(tmp_path, *args, code=NO_ESTIMATE)
+    assert [camera["status"] for camera in found["cameras"]] == ["ok", "no_match", "ok"]
     assert re.search(r"late +no_match", result.stdout)
     assert "placed; no pose with the others: camera 2 (no_match)\n" in result.stderr
     assert load_rig(rig, (1, 2)).T_2_1 is None
@@ -387,20 +396,8 @@ def test_two_cameras_write_a_path_without_a_third_that_fits_nowhere(flown, files
     np.testing.assert_allclose(written.T_2_1[:3, :3], found["cameras"][2]["R"])
     assert not written.in_metres
     assert np.linalg.norm(written.T_2_1[:3, 3]) == pytest.approx(1.0)
-    assert "--distance is not used" in result.stdout
-    assert found["scale_is_known"] is False
-
-
-def test_positions_of_too_few_placed_cameras_are_said_to_be_left_out(flown, files, tmp_path):
-    late, stated = save_another(tmp_path / "late.csv", 1000.0), tmp_path / "positions.csv"
-    stated.write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,9,0,0\n3,0,9,0\n")
-    near = "--search", *(flown.clocks[1].t_d_s + np.array([-1.0, 1.0]))
-    args = (files[0], late, files[1], "--rig", files[-1], "--positions", stated)
-    result, found = answered(tmp_path, *args, *near, code=NO_ESTIMATE)
-    said = f"--positions is not used: {stated}: positions of at least 3 cameras of the network"
-    assert found["note"].startswith(said)
-    assert said in result.stdout
-    assert [camera["status"] for camera in found["cameras"]] == ["ok", "no_match", "ok"]
+    assert re.match(f"{option} is not used: {why}", found["note"])
+    assert found["note"] in result.stdout
     assert found["scale_is_known"] is False
 
 
@@ -427,12 +424,11 @@ def test_rtk_sets_the_scale_of_path_and_rig_or_contradicts_and_costs_them(flown,
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
 def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flown, files, tmp_path, unit):
     R, t_m = flown.poses[1]
-    rig, out = yaml.safe_load(files[-1].read_text()), tmp_path / "path.csv"
+    rig, out, again = yaml.safe_load(files[-1].read_text()), tmp_path / "a.csv", tmp_path / "b.yaml"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
     rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
-    again = tmp_path / "again.yaml"
     result, _ = answered(tmp_path, *files[:2], *options, "--write-rig", again)
     if unit == "first_baseline":
         T_2_1[:3, 3] /= flown.distance_m

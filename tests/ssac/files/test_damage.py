@@ -11,7 +11,7 @@ from faery.file_encoder import events_to_file
 from ssac import PointTrack, SsacError, load_events
 from ssac.camera import Camera
 from ssac.events import events_from_arrays
-from ssac.files.damage import Reading, readable
+from ssac.files.damage import STRICT, Reading, readable
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.text import save_events_text
@@ -22,6 +22,7 @@ from tests.ssac.files.test_event_files import HEIGHT, WIDTH, faerys, random_even
 
 N = 4000
 ALLOWED = Reading(allow_damaged=True)
+CAMERA = Camera(np.diag([200.0, 200.0, 1.0]), WIDTH, HEIGHT)
 ENCODINGS = [("cam1.raw", "evt2"), ("cam1.raw", "evt3"), ("cam1.dat", "dat2")]
 
 
@@ -33,9 +34,9 @@ def write_faery(path, version=None):
 def refused_or_left(path, error, warning, reading=ALLOWED):
     """Return the events read of a file that is refused unless `reading` allows it."""
     with pytest.raises(SsacError, match=error):
-        load_events(path)
+        Recording(path, CAMERA, "camera 1", STRICT).read()
     with pytest.warns(UserWarning, match=warning):
-        return load_events(path, reading).events
+        return Recording(path, CAMERA, "camera 1", reading).read().events
 
 
 @pytest.mark.parametrize(("name", "version"), ENCODINGS)
@@ -122,25 +123,16 @@ LONGER = r"1000 of 4000 events \(25 %\) are left out"  # of the two parts the lo
         (slice(7, 8), "x", 60_000, "there is an event at x = 60", "1 of 4000 events lie outside"),
     ],
 )
-def test_what_does_not_fit_is_left_out_if_allowed(tmp_path, part, field, shift, error, warning):
+@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (None, None)], ids=["stated", "of the rig"])
+def test_what_does_not_fit_is_left_out_if_allowed(
+    tmp_path, part, field, shift, error, warning, size
+):
     path, events = tmp_path / "cam1.h5", random_events(N)
     changed = events.copy()
     changed[field][part] += shift
-    save_events_h5(path, changed, WIDTH, HEIGHT)
-    found = refused_or_left(path, error, warning)
+    save_events_h5(path, changed, *size)
+    found = refused_or_left(path, error, rf"cam1\.h5:? .*{warning}")
     np.testing.assert_array_equal(found, np.delete(events, part))
-
-
-def test_the_rigs_size_tells_what_is_outside_where_the_file_states_none(tmp_path):
-    path, events = tmp_path / "cam1.txt", random_events(N)
-    events["x"][7] += 60_000
-    save_events_text(path, events, None, None)
-    camera = Camera(np.diag([200.0, 200.0, 1.0]), WIDTH, HEIGHT)
-    with pytest.raises(SsacError, match="there is an event at x = 60"):
-        Recording(path, camera, "camera 1 of rig.yaml").read()
-    with pytest.warns(UserWarning, match=r"cam1\.txt: 1 of 4000 events lie outside"):
-        left = Recording(path, camera, "camera 1 of rig.yaml", ALLOWED).read().events
-    np.testing.assert_array_equal(left, np.delete(events, 7))
 
 
 # --- ROS bags ---

@@ -101,9 +101,8 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
 
     def refused(*paths, config, **more):
         tried.append((config.clock, config.roughness_ppm))
-        estimate = Estimate("joint", "clock_jump")
-        answer = SimpleNamespace(estimate=estimate, guess=None, start=None, config=config)
-        return SimpleNamespace(answer=answer)
+        jumped = {"estimate": Estimate("joint", "clock_jump"), "guess": None, "start": None}
+        return SimpleNamespace(answer=SimpleNamespace(**jumped, config=config))
 
     monkeypatch.setattr(tracks, "sync", refused)
     monkeypatch.setattr(tracks, "VARIABLE_RATES", {(2, 1)})
@@ -136,9 +135,8 @@ PHONE = "../calibration/phone/phone.json"
     ],
 )
 def test_a_bad_data_set_is_one_line(data, tmp_path, name, text, message):
-    shutil.copytree(data, tmp_path / "data")
-    (tmp_path / "data" / "dataset2" / name).write_text(text)
-    folder = tmp_path / "data" / "dataset2"
+    folder = shutil.copytree(data, tmp_path / "data") / "dataset2"
+    (folder / name).write_text(text)
     _, _, err = run("import", "drone-tracking", folder, tmp_path / "out", code=2)
     assert err.count("\n") == 1
     assert message in err

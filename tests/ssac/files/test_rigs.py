@@ -99,9 +99,6 @@ def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
     np.testing.assert_allclose(turn.apply(R @ T + T) + place, T, atol=1e-7)
 
 
-MISSING = object()
-
-
 @pytest.mark.parametrize(
     ("camera", "key", "value", "message"),
     [
@@ -119,7 +116,7 @@ MISSING = object()
         # A hundredth longer than a rotation; rounding to four digits changes a ten thousandth.
         ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
         *(
-            ("cam1", key, MISSING, f"cam1: {key} missing")
+            ("cam1", key, None, f"cam1: {key} missing")
             for key in ("camera_model", "intrinsics", "distortion_model", "resolution")
         ),
     ],
@@ -127,7 +124,7 @@ MISSING = object()
 def test_unusable_kalibr_values_are_refused(tmp_path, camera, key, value, message):
     document = _kalibr()
     document[camera][key] = value
-    if value is MISSING:
+    if value is None:
         del document[camera][key]
     with pytest.raises(SsacError, match=rf"rig\.yaml, .*{message}"):
         load_rig(_write(tmp_path / "rig.yaml", document))
@@ -184,13 +181,6 @@ def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
     assert T_2_1 is None or np.linalg.norm(swapped.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
 
 
-def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
-    path = _write_opencv(tmp_path / "stereo.yml", (*FIVE, *6 * (0.0,), 0.01))
-    message = "camera 1: expected no thin-prism or tilt terms in D1, got"
-    with pytest.raises(SsacError, match=message):
-        load_rig(path)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -200,12 +190,13 @@ def test_lens_terms_that_are_left_out_must_be_zero(tmp_path):
         ("K2", "Q2", "expected a matrix K2"),
         ("200.", ".Nan", "camera 1: K must be a finite 3x3 matrix"),
         ("200.", "nan", "not a readable YAML file"),
-        ("cols: 5", "cols: 6", "not a readable YAML file"),
+        ("cols: 12", "cols: 13", "not a readable YAML file"),
+        ("0. ]", "0.01 ]", "camera 1: expected no thin-prism or tilt terms in D1, got"),
         ("dt: d\n   data: [ 4.", "dt: d\n   data: [ .Nan", "T: expected 3 finite numbers"),
     ],
 )
 def test_unusable_opencv_files_are_refused(tmp_path, old, new, message):
-    path = _write_opencv(tmp_path / "stereo.yml", **POSE)
+    path = _write_opencv(tmp_path / "stereo.yml", (*FIVE, *7 * (0.0,)), **POSE)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))

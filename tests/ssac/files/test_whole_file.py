@@ -60,17 +60,16 @@ def test_only_what_is_left_over_is_removed(tmp_path):
     (folder / "cam1.h5").touch()
     file = made_by(tmp_path / "run.json", ended)
     file.touch()
-    kept = {"mine": whole_file.temporary_path(tmp_path / "recording")}
-    kept["host"] = made_by(tmp_path / "recording", ended, ELSEWHERE)
-    kept["name"] = tmp_path / f".recording.{ended}.partial"
-    kept["whole"] = tmp_path / "recording"
-    for path in kept.values():
+    mine = whole_file.temporary_path(tmp_path / "recording")
+    elsewhere = made_by(tmp_path / "recording", ended, ELSEWHERE)
+    kept = {mine, elsewhere, tmp_path / f".recording.{ended}.partial", tmp_path / "recording"}
+    for path in kept:
         path.mkdir()
-    let_lie(kept["mine"], 10 * whole_file.LEFT_OVER_S)  # on this host the process alone decides
+    let_lie(mine, 10 * whole_file.LEFT_OVER_S)  # on this host the process alone decides
     whole_file.remove_left_over(tmp_path, "recording")
-    assert set(tmp_path.iterdir()) == {*kept.values(), file}
+    assert set(tmp_path.iterdir()) == {*kept, file}
     whole_file.remove_left_over(tmp_path)
-    assert set(tmp_path.iterdir()) == set(kept.values())
+    assert set(tmp_path.iterdir()) == kept
     whole_file.remove_left_over(tmp_path / "none")
 
 

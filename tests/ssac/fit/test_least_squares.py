@@ -137,11 +137,7 @@ def test_residuals_are_weighed_sampson_distances_with_the_derivatives_of_differe
 
 # --- Uncertain intrinsics ---
 
-LENSES = {
-    "none": (),
-    "radtan": (-0.3, 0.1, 0.001, -0.0005),
-    "equidistant": (-0.02, 0.01, 0.0, 0.0),
-}
+LENSES = [("none", ()), ("radtan", (-0.3, 0.1, 1e-3, -5e-4)), ("equidistant", (-0.02, 0.01, 0, 0))]
 NAMES = ("fu", "fv", "pu", "pv")
 UNHIDDEN = np.zeros((N, 0))  # no errors but those that residuals show
 
@@ -170,8 +166,7 @@ def fitted(problem):
 
 def rig_of(focal, centre_px, **wrong):
     """Both cameras with stated deviations, and camera 1's intrinsics wrong by shares."""
-    camera = Camera(K, WIDTH, HEIGHT)
-    first = camera
+    first = camera = Camera(K, WIDTH, HEIGHT)
     for name, share in wrong.items():
         first = changed(first, NAMES.index(name), share)
     return Rig(*(with_deviations(one, focal, centre_px) for one in (first, camera)))
@@ -179,7 +174,7 @@ def rig_of(focal, centre_px, **wrong):
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_columns_move_points_as_rays_undistorted_with_other_intrinsics(lens):
-    camera = with_deviations(Camera(K, WIDTH, HEIGHT, lens, LENSES[lens]), 0.01, 1.0)
+    camera = with_deviations(Camera(K, WIDTH, HEIGHT, *lens), 0.01, 1.0)
     pixels = np.random.default_rng(0).uniform((20, 20), (WIDTH - 20, HEIGHT - 20), (50, 2))
     points, nothing, step = undistort_points(camera, pixels), np.zeros((50, 2)), 1e-4
     pairs = WeighedPairs(np.arange(50.0), points, points, nothing, np.ones(50), 0.0)

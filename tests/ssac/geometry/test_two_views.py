@@ -17,16 +17,16 @@ ROUNDING_PX = 1e-9  # pixel coordinates of order 100 carry about 1e-14
 
 @pytest.fixture(params=[30.0, 90.0, 150.0])
 def exact(request):
-    """The fundamental matrix and positions of a flight that a tilted camera 2 sees, too."""
+    """A flight that a tilted camera 2 sees, too, its fundamental matrix and positions."""
     scene, tilt = make_scene(1, request.param), Rotation.from_rotvec([0.1, -0.2, 0.7]).as_matrix()
     scene = replace(scene, R=tilt @ scene.R, t=tilt @ scene.t)
     p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 100))
-    return fundamental_from_pose(K, K, scene.R, scene.t), p1, p2
+    return scene, fundamental_from_pose(K, K, scene.R, scene.t), p1, p2
 
 
 @pytest.mark.parametrize("shift_px", [0.0, 2.5])
 def test_distances_are_from_epipolar_lines_in_image_1(exact, shift_px):
-    F, p1, p2 = exact
+    _, F, p1, p2 = exact
     lines = epipolar.epipolar_lines_1(F, p2)
     shifts = shift_px * lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     distances = epipolar.epipolar_distance(F, p1 + shifts, p2)
@@ -35,7 +35,7 @@ def test_distances_are_from_epipolar_lines_in_image_1(exact, shift_px):
 
 
 def test_f_has_rank_two_and_e_equal_singular_values(exact):
-    F, _, _ = exact
+    _, F, _, _ = exact
     assert np.linalg.svd(F)[1][2] < 1e-15 * np.linalg.norm(F) * 100  # rounding of a 3x3 product
     singular = np.linalg.svd(K.T @ F @ K)[1]
     assert np.allclose(singular / singular[0], [1.0, 1.0, 0.0], atol=1e-12)
@@ -53,43 +53,6 @@ def test_a_point_without_a_line_has_no_finite_distance():
         assert epipolar.epipolar_distance(F, p1, p2) == pytest.approx([3.0])
         assert np.isposinf(epipolar.epipolar_distance(at_infinity, p1, p2)).all()
         assert np.isnan(epipolar.epipolar_distance(np.zeros((3, 3)), p1, p2)).all()
-
-
-def test_a_rigid_move_of_the_world_changes_nothing():
-    rng = np.random.default_rng(0)
-    points_W = rng.uniform(-1.0, 1.0, (50, 3))
-    R1_W, R2_W = Rotation.random(2, rng).as_matrix()
-    t1_W, t2_W = np.array([[0.0, 0.0, 5.0], [0.3, -0.2, 6.0]])
-    move, shift = Rotation.random(random_state=1).as_matrix(), np.array([3.0, -2.0, 1.0])
-
-    def relative_pose(R1, t1, R2, t2):
-        R = R2 @ R1.T
-        return fundamental_from_pose(K, K, R, t2 - R @ t1)
-
-    # World points X become move X + shift; so R_W becomes R_W move', t_W: t_W - R_W move' shift.
-    F = relative_pose(R1_W, t1_W, R2_W, t2_W)
-    moved = [(R @ move.T, t - R @ move.T @ shift) for R, t in ((R1_W, t1_W), (R2_W, t2_W))]
-    assert np.allclose(relative_pose(*moved[0], *moved[1]), F, atol=1e-12 * np.linalg.norm(F))
-    p1, p2 = project(points_W @ R1_W.T + t1_W), project(points_W @ R2_W.T + t2_W)
-    assert np.allclose(epipolar.sampson_distance(F, p1, p2), 0.0, atol=ROUNDING_PX)
-
-
-def test_sampson_derivatives_equal_central_differences(exact):
-    (F, p1, p2), rng, h = exact, np.random.default_rng(0), 1e-6
-    p1 = p1 + rng.normal(0.0, 2.0, p1.shape)  # away from zero, where the norm's derivative counts
-    dF = epipolar.fundamental_from_essential(rng.normal(0.0, 1.0, (3, 3)), K, K)
-    dp2, gradient = rng.normal(0.0, 100.0, p2.shape), epipolar.sampson_gradient(F, p1, p2)
-    for by_F, by_p2, analytic in (
-        (0.0, 1.0, epipolar.sampson_derivative(F, p1, p2, dp2)),
-        (1.0, 0.0, np.sum(gradient * dF, axis=(1, 2))),
-    ):
-        upper, lower = (
-            epipolar.sampson_distance(F + step * by_F * dF, p1, p2 + step * by_p2 * dp2)
-            for step in (h, -h)
-        )
-        numeric = (upper - lower) / (2 * h)
-        # The error of central differences grows with h^2 and with rounding over h: 1e-6 of all.
-        assert np.allclose(analytic, numeric, atol=1e-5 * np.abs(numeric).max())
 
 
 # --- Estimators of F ---
@@ -143,12 +106,10 @@ def test_every_estimator_repeats_bit_for_bit_and_the_seed_chooses_the_subsets():
 ROUNDING = 1e-7  # of an SVD of E through K, whose condition number is about 200 squared
 
 
-@pytest.mark.parametrize("angle", [30.0, 90.0, 150.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_pose_of_an_exact_f_is_recovered_with_either_sign(angle, sign):
-    scene = make_scene(seed=2, angle_deg=angle)
-    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 50))
-    F = sign * fundamental_from_pose(K, K, scene.R, scene.t)
+def test_the_pose_of_an_exact_f_is_recovered_with_either_sign(exact, sign):
+    scene, F, p1, p2 = exact
+    F = sign * F
     (R, t), in_front = pose.pose_from_fundamental(F, K, K, p1, p2)
     assert in_front == 1.0
     turn = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix()
@@ -184,12 +145,10 @@ def test_pairs_that_disagree_about_the_pose_show_and_those_at_rest_tell_none():
 
 
 def test_a_plane_between_the_cameras_gives_their_pose():
-    rng = np.random.default_rng(3)
-    R = Rotation.from_euler("y", 120.0, degrees=True).as_matrix()
-    middle = np.array([0.0, 0.0, 5.0])
-    t = middle - R @ middle  # both look at the middle
+    rng, scene = np.random.default_rng(3), make_scene(0, 120.0)
+    R, t = scene.R, scene.t
     # The plane of points, x + 0.2 z = 1, has camera 1 on one side and camera 2 on the other.
-    points = rng.uniform(-1.0, 1.0, (50, 3)) + middle
+    points = rng.uniform([-1.0, -1.0, 4.0], [1.0, 1.0, 6.0], (50, 3))  # both look at their middle
     points[:, 0] = 1.0 - 0.2 * points[:, 2]
     seen = [p / p[:, 2:] for p in (points, points @ R.T + t)]
     sides = np.array([-1.0, -R.T[0] @ t - 0.2 * R.T[2] @ t - 1.0])

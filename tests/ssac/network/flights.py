@@ -77,13 +77,10 @@ def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -
     rng = np.random.default_rng(5)
     knots_s = 0.8 * np.arange(-5.0, DURATION_S / 0.8 + 6.0)
     spread = rng.uniform(-1.0, 1.0, (len(knots_s) - 6, 3)) * [7.0, 5.0, 7.0]
-    from_world = []
-    for angle in np.deg2rad(np.linspace(-60.0, 60.0, n_cameras)):
-        R = Rotation.from_euler("y", angle).as_matrix()
-        from_world.append((R, np.array([0.0, 0.0, 20.0])))
-    R_1, t_1 = from_world[0]
-    poses = [(R @ R_1.T, t - R @ R_1.T @ t_1) for R, t in from_world]
-    path = BSpline(knots_s, spread @ R_1.T + t_1, 5)
+    angles, t = np.deg2rad(np.linspace(-60.0, 60.0, n_cameras)), np.array([0.0, 0.0, 20.0])
+    R_1, *_ = from_world = Rotation.from_euler("y", angles).as_matrix()
+    poses = [(R @ R_1.T, t - R @ R_1.T @ t) for R in from_world]
+    path = BSpline(knots_s, spread @ R_1.T + t, 5)
     delays_s = np.concatenate([[0.0], rng.uniform(-30.0, 30.0, n_cameras - 1)])
     skews_ppm = np.concatenate([[0.0], rng.normal(0.0, 30.0, n_cameras - 1)])
     clocks = [Clock(*of_one, 8.0) for of_one in zip(delays_s, skews_ppm, strict=True)]

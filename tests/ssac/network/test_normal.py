@@ -11,62 +11,41 @@ from ssac.network.normal import ORDER, Linear, Normal, Spline, jerks, knots_for,
 from ssac.network.state import CameraState, network_times, projected, with_strays
 from tests.ssac.network.flights import RULES, make_flight
 
-
-def dense(normal: Normal, linear: Linear, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dense matrix and right side of the same equations, with `own` (n,) added to the diagonal."""
-    m, n = len(normal.right_path), len(linear.first)
-    J = np.zeros((2 * n, m + len(normal.right_border)))
-    for i, at in enumerate(linear.first):
-        rows = slice(2 * i, 2 * i + 2)
-        J[rows, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
-        for c, place in enumerate(linear.columns[i]):
-            J[rows, m + place] += linear.by_camera[i, :, c]
-    return J.T @ J + np.diag(own), J.T @ linear.residuals.ravel()
+RNG = np.random.default_rng(0)
+ANYWHERE, PIECES = RNG.integers(0, 9, 80), np.repeat(np.arange(357), 2)
+OWN = RNG.integers(0, 5, 80)
 
 
-def anything() -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
-    """Sightings without any order, and a prior on each of the five cameras' parameters."""
-    rng, n_coefficients, n_border, n = np.random.default_rng(0), 12, 5, 80
-    own = rng.integers(0, n_border, n)
+@pytest.mark.parametrize(
+    ("first", "columns", "least"),
+    [
+        (ANYWHERE, np.column_stack([OWN, (OWN + 1) % 5]), 0.0),  # sightings without any order
+        (PIECES, PIECES[:, None] // 30, 1e-3),  # a path of 12 pieces, each with its own parameter
+    ],
+    ids=["anything", "pieces"],
+)
+def test_solution_and_covariance_are_those_of_the_dense_matrix(first, columns, least) -> None:
+    rng, n, m, b = np.random.default_rng(1), len(first), 3 * (first.max() + 4), columns.max() + 1
     linear = Linear(
-        rng.integers(0, n_coefficients - 3, n),
+        first,
         rng.normal(size=(n, 4)),
         rng.normal(size=(n, 2, 3)),
-        rng.normal(size=(n, 2, 2)),
-        np.column_stack([own, (own + 1) % n_border]),
+        rng.normal(size=(n, 2, columns.shape[1])),
+        columns,
         rng.normal(size=(n, 2)),
     )
-    normal = Normal(n_coefficients, n_border)
+    normal = Normal(m // 3, b)
     normal.add(linear)
-    normal.add_rows(np.eye(n_border), np.ones(n_border))
-    added = np.repeat([0.0, 1.0], [3 * n_coefficients, n_border])
-    return normal, linear, added, added
-
-
-def pieces() -> tuple[Normal, Linear, np.ndarray, np.ndarray]:
-    """A path of n pieces, each with its own parameter; `least` holds the ends, which few saw."""
-    rng, n, per_piece, least = np.random.default_rng(1), 12, 30, 1e-3
-    m = per_piece * n
-    first = np.repeat(np.arange(m - 3), 2)
-    count = len(first)
-    weights = rng.uniform(0.5, 1.0, (count, 4)) * [1.0, 4.0, 4.0, 1.0] / 8.0
-    by_point, by_camera = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
-    columns = (first // per_piece)[:, None]
-    linear = Linear(first, weights, by_point, by_camera, columns, rng.normal(size=(count, 2)))
-    normal = Normal(m, n)
-    normal.add(linear)
-    normal.add_rows(np.eye(n), np.zeros(n))
-    normal.band[0] += least
-    return normal, linear, np.repeat([least, 1.0], [3 * m, n]), np.zeros(3 * m + n)
-
-
-@pytest.mark.parametrize("made", [anything, pieces])
-def test_the_solution_and_its_covariance_are_those_of_the_dense_matrix(made) -> None:
-    normal, linear, own, residual = made()
-    matrix, right = dense(normal, linear, own)
-    m, b = len(normal.right_path), len(normal.right_border)
-    found, covariance = solve(normal, np.arange(b)), np.linalg.inv(matrix)
-    step = covariance @ (right + residual)
+    normal.add_rows(np.eye(b), np.ones(b))  # a prior on each camera's parameters
+    normal.band[0] += least  # of a path whose ends few saw
+    found, J = solve(normal, np.arange(b)), np.zeros((2 * n, m + b))  # J: the same, but dense
+    for i, at in enumerate(first):
+        rows = slice(2 * i, 2 * i + 2)
+        J[rows, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
+        for c, place in enumerate(columns[i]):
+            J[rows, m + place] += linear.by_camera[i, :, c]
+    covariance = np.linalg.inv(J.T @ J + np.diag(np.repeat([least, 1.0], [m, b])))
+    step = covariance @ (J.T @ linear.residuals.ravel() + np.repeat([0.0, 1.0], [m, b]))
     assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-8)
     assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-8)
     assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-8)
@@ -92,9 +71,7 @@ def test_derivatives_are_those_of_differences() -> None:
         return projected(changed, seen, points, velocities)
 
     _, _, _, by_camera, columns = at(state)
-    for place in range(state.size):
-        step = np.zeros(state.size)
-        step[place] = 1e-6
+    for place, step in enumerate(1e-6 * np.eye(state.size)):
         difference = (at(state.moved(step))[0] - at(state.moved(-step))[0]) / 2e-6
         ours = np.sum(np.where(columns == place, 1.0, 0.0)[:, None] * by_camera, axis=2)
         scale = np.abs(difference).max() + 1.0
@@ -110,37 +87,27 @@ def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
     # A slow error of variance 0.04 stays for 0.5 s: 50 sightings share each value, and blocks of a
     # second hold two values. `repeats_of` does not sum up correlations as small as 0.04.
     slow = np.repeat(rng.normal(0.0, 0.2, (len(times_s) // 50, 2)), 50, axis=0)
-    assert repeats_in_blocks(times_s, white + slow, RULES.network) == pytest.approx(
-        1.0 + 0.04 * 50.0, rel=0.15
-    )
+    found = repeats_in_blocks(times_s, white + slow, RULES.network)
+    assert found == pytest.approx(1.0 + 0.04 * 50.0, rel=0.15)
     assert repeats_of(times_s, white + slow, RULES.network) < 1.5
 
 
-def data() -> tuple[np.ndarray, np.ndarray, Spline]:
+def test_curves_derivatives_and_jerks_are_those_of_scipy_with_knots_where_data_are() -> None:
     rng = np.random.default_rng(0)
-    times_s = np.concatenate([rng.uniform(0.0, 5.0, 200), rng.uniform(20.0, 25.0, 100)])
-    knots_s = knots_for(times_s, 0.3, 1.0)
-    return times_s, knots_s, Spline(knots_s, rng.normal(size=(len(knots_s) - ORDER, 3)))
-
-
-def test_curves_derivatives_and_the_integral_of_the_jerk_are_those_of_scipy() -> None:
-    _, knots_s, spline = data()
+    seen_s = np.concatenate([rng.uniform(0.0, 5.0, 200), rng.uniform(20.0, 25.0, 100)])
+    knots_s = knots_for(seen_s, 0.3, 1.0)
+    spline = Spline(knots_s, rng.normal(size=(len(knots_s) - ORDER, 3)))
     curve = BSpline(knots_s, spline.coefficients, 3)
     times_s = np.linspace(knots_s[0], knots_s[-1] - 1e-9, 300)
     for derivative in range(4):
         expected = curve(times_s, nu=derivative)
         scale = np.abs(expected).max()  # of rounding
         assert spline.at(times_s, derivative) == pytest.approx(expected, abs=1e-12 * scale)
-    steps_s, inner_s = np.diff(np.unique(knots_s)), np.unique(knots_s)[:-1]
-    total = steps_s @ np.sum(curve(inner_s, nu=3) ** 2, axis=1)  # it is constant between knots
+    inner_s = np.unique(knots_s)
+    total = np.diff(inner_s) @ np.sum(curve(inner_s[:-1], nu=3) ** 2, axis=1)  # steps of the jerk
     squares = products(*jerks(knots_s), spline.coefficients) ** 2
     assert np.sum(squares) == pytest.approx(total, rel=1e-9)  # rounding
-
-
-def test_knots_lie_where_data_are_alone() -> None:
-    times_s, knots_s, _ = data()
-    inner = np.unique(knots_s)
-    assert not np.any((inner > 5.1) & (inner < 19.9))
-    assert (inner[0], inner[-1]) == (times_s.min(), times_s.max())
-    gap_s = times_s[times_s > 10.0].min() - times_s[times_s < 10.0].max()
-    assert np.sort(np.diff(inner))[-2:] == pytest.approx([0.3, gap_s], abs=0.02)
+    assert not np.any((inner_s > 5.1) & (inner_s < 19.9))
+    assert (inner_s[0], inner_s[-1]) == (seen_s.min(), seen_s.max())
+    gap_s = seen_s[seen_s > 10.0].min() - seen_s[seen_s < 10.0].max()
+    assert np.sort(np.diff(inner_s))[-2:] == pytest.approx([0.3, gap_s], abs=0.02)

@@ -236,12 +236,13 @@ CLOCK = Clock(31.4, 20.0, 50.0)
 NOISE_M = 0.03
 
 
-def pair(noise_m=NOISE_M, span_s=(10.0, 90.0)):
-    return both(100.0, 7, CLOCK, span_s, rate_hz=20.0, noise_m=noise_m, truth_m=0.0)
+def pair(noise_m=NOISE_M):
+    return both(100.0, 7, CLOCK, (10.0, 90.0), rate_hz=20.0, noise_m=noise_m, truth_m=0.0)
 
 
-def test_the_error_is_that_of_the_noise():
-    found = compare(*pair())
+def test_the_error_is_that_of_the_noise_and_shapes_are_compared_without_times():
+    estimate, truth = pair()
+    found = compare(estimate, truth)
     in_time, as_shape = found.in_time, found.as_shape
     # Every fourth sample coincides with one of the truth; 400 samples of three coordinates give the
     # error to 3 %, and the similarity takes 9 of 1200 degrees of freedom. Three deviations.
@@ -250,8 +251,13 @@ def test_the_error_is_that_of_the_noise():
     assert len(in_time.distances_m) in (399, 400)  # the last may lie beyond the end
     assert in_time.explained == pytest.approx(1.0, abs=1e-4)  # 5 cm in 10 m
     assert in_time.similarity.scale == pytest.approx(FRAME.scale, rel=0.002)  # 3 cm in some 10 m
-    # The nearest point leaves out the error along the path: two of three coordinates remain.
-    assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
+    timeless = compare(replace(estimate, times_s=np.full(len(estimate), np.nan)), truth)
+    assert timeless.in_time is None
+    for shape in (as_shape, timeless.as_shape):
+        # The nearest point leaves out the error along the path: two of three coordinates remain.
+        assert shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
+        turn = Rotation.from_matrix(shape.similarity.R.T @ FRAME.R)
+        assert np.degrees(turn.magnitude()) < 0.3
 
 
 def test_where_the_truth_has_no_samples_the_estimate_is_not_off_nor_the_other_way_round():
@@ -268,31 +274,18 @@ def test_where_the_truth_has_no_samples_the_estimate_is_not_off_nor_the_other_wa
     assert found.in_time.coverage == pytest.approx(0.75, abs=0.01)  # 60 of 80 s
 
 
-def test_a_wrong_clock_shows_in_time_and_not_as_a_shape():
+def test_a_wrong_clock_shows_in_time_not_as_a_shape_and_a_wrong_scale_costs_where_it_is_held():
     estimate, truth = pair(0.0)
     late_s = 0.1 * np.sin(estimate.times_s)  # no shift nor rate explains it
     found = compare(replace(estimate, times_s=estimate.times_s + late_s), truth)
     assert found.in_time.rmse_m > 0.05  # 0.07 s rms at over 1 m/s
     assert found.as_shape.rmse_m < 0.02  # what interpolation between 20 and 5 Hz leaves
-
-
-def test_a_wrong_scale_costs_where_it_is_held():
-    estimate, truth = pair(0.0)
     metric = replace(estimate, positions_m=1.05 * FRAME.scale * estimate.positions_m)
     assert compare(metric, truth).in_time.rmse_m < 0.02
     held = compare(metric, truth, with_scale=False)
     assert held.in_time.similarity.scale == held.as_shape.similarity.scale == 1.0
     spread_m = np.sqrt(np.sum(np.var(truth.positions_m, axis=0)))
     assert held.in_time.rmse_m == pytest.approx(0.05 * spread_m, rel=0.2)  # of 80 of the 100 s
-
-
-def test_shapes_are_compared_where_there_are_no_times():
-    estimate, truth = pair(span_s=(0.0, 99.0))
-    found = compare(replace(estimate, times_s=np.full(len(estimate), np.nan)), truth)
-    assert found.in_time is None
-    assert found.as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
-    turn = Rotation.from_matrix(found.as_shape.similarity.R.T @ FRAME.R)
-    assert np.degrees(turn.magnitude()) < 0.3
 
 
 def test_the_command_prints_and_writes_what_it_found(tmp_path):
@@ -327,16 +320,15 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
         (("path.tum", "truth.csv", "--lever-arm", "0", "0", "1"), "no attitude"),
     ],
 )
-def test_bad_input_is_one_line(tmp_path, args, reason):
+def test_bad_input_is_one_line(tmp_path, args, reason, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     rest, point = (Path(np.arange(float(n)), np.ones((n, 3))) for n in (99, 1))
     estimate, truth = pair()
     short = Path(truth.times_s[100:119], truth.positions_m[100:119])
     names = ("path.tum", "truth.csv", "rest.csv", "point.csv", "short.csv")
     for name, path in zip(names, (estimate, truth, rest, point, short), strict=True):
         write_path(tmp_path / name, path)
-    files = ".tum", ".csv", ".jpeg", ".png"
-    there = [tmp_path / arg if arg.endswith(files) else arg for arg in args]
-    _, out, err = run("compare", *there, code=2)
+    _, out, err = run("compare", *args, code=2)
     assert (out, err.count("\n")) == ("", 1)
     assert reason in err
 
@@ -489,23 +481,19 @@ def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_p
 def test_what_does_not_fit_by_the_rules_is_refused(solved, tmp_path):
     flight, answer = solved
     centres, exact = centres_m(flight), GroundRules(max_off_share=1e-9)
-    beside_a_line = np.array([[-20.0, 0.0, 0.0], [0.0, 1.2, 0.0], [15.0, 0.0, 0.0]])
-    for positions, rules, message in (
-        (centres[[1, 0, 3, 2]] * [1.0, 3.0, 1.0], GROUND, "contradict these positions, by"),
-        (centres, exact, "contradict these positions, by"),
-        (centres[:2], GROUND, "at least 3 cameras"),
-        # Errors of centimetres turn a frame about such a line, and the path in it, by any angle.
-        (beside_a_line, GROUND, "nearly on a line, 0.5. m off it rms over 14 m"),
-        (np.outer(np.arange(4.0), [1.0, 2.0, 0.0]), exact, "nearly on a line, "),
-    ):
-        with pytest.raises(SsacError, match=message):
-            by_positions(tmp_path, answer, positions, rules)
     other = np.random.default_rng(0).normal(size=(len(TIMES_S), 3))
-    strict = GroundRules(least_explained=1.1)
-    for path_m, rules, message in (
-        (other, GROUND, "flight"),
-        (np.zeros((20, 3)), GROUND, "rtk.tum, taken for the truth: the truth stands still"),
-        (flight.path(TIMES_S), strict, "explains 100 % of its motion only"),
+    beside_a_line = np.array([[-20.0, 0.0, 0.0], [0.0, 1.2, 0.0], [15.0, 0.0, 0.0]])
+    strict, flown = GroundRules(least_explained=1.1), Path(TIMES_S, flight.path(TIMES_S))
+    for by, given, rules, message in (
+        (by_positions, centres[[1, 0, 3, 2]] * [1.0, 3.0, 1.0], GROUND, "contradict these posit"),
+        (by_positions, centres, exact, "contradict these positions, by"),
+        (by_positions, centres[:2], GROUND, "at least 3 cameras"),
+        # Errors of centimetres turn a frame about such a line, and the path in it, by any angle.
+        (by_positions, beside_a_line, GROUND, "nearly on a line, 0.5. m off it rms over 14 m"),
+        (by_positions, np.outer(np.arange(4.0), [1.0, 2.0, 0.0]), exact, "nearly on a line, "),
+        (by_rtk, replace(flown, positions_m=other), GROUND, "flight"),
+        (by_rtk, replace(flown, positions_m=0.0 * other), GROUND, "rtk.tum.*truth stands still"),
+        (by_rtk, flown, strict, "explains 100 % of its motion only"),
     ):
         with pytest.raises(SsacError, match=message):
-            by_rtk(tmp_path, answer, Path(TIMES_S[: len(path_m)], path_m), rules)
+            by(tmp_path, answer, given, rules)

@@ -36,8 +36,10 @@ def motion_along(*path, **how) -> ObjectMotion:
     return object_motion(events_along(*path, **how), CAMERA)
 
 
-def wave(hz: float, phase: float = 0.0, reach_px: float = 60.0):
-    return lambda times_s: 130.0 + reach_px * np.sin(2 * np.pi * hz * times_s + phase)
+def wave(hz: float, phase: float = 0.0, reach_px: float = 60.0, drift_px_s: float = 0.0):
+    return lambda times_s: (
+        130.0 + reach_px * np.sin(2 * np.pi * hz * times_s + phase) + drift_px_s * (times_s - 4.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -141,10 +143,7 @@ def test_a_path_that_repeats_itself_returns_after_whole_periods():
     assert len(returning(path, wave(1.25, 0.4), longest_s=0.5)) == 0
     assert len(returning(wave(0.31), wave(0.19, 1.0))) == 0  # their common period is 100 s
     for drift_px_s, returns in ((7.0, True), (21.0, False)):
-
-        def drifting(times_s, drift_px_s=drift_px_s):
-            return wave(1.25)(times_s) + drift_px_s * (times_s - 4.0)
-
+        drifting = wave(1.25, drift_px_s=drift_px_s)
         # In 0.8 s the path drifts by 6 or 17 px, and its extent is 62 to 78 px. So it misses itself
         # by a tenth or by over a fifth, the limit.
         assert bool(len(returning(drifting, wave(1.25, 0.4), longest_s=1.0))) == returns

@@ -165,17 +165,15 @@ def test_a_camera_without_a_path_tells_nothing():
         assert not search_all_offsets(nothing, one, OF_ALL).guesses
 
 
-def gappy(scene, camera):
-    """Return the motion of three flights of 8 s in a recording of twenty minutes."""
-    track = frame_track(scene, camera, 30.0, seed=camera)
-    kept = track.times_s % 10.0 < 8.0
-    late_s = 600.0 * (track.times_s[kept] // 10.0)
-    return of_points(PointTrack(track.times_s[kept] + late_s, track.points_px[kept]))
-
-
 def test_samples_are_drawn_where_both_see_the_object():
-    scene = make_scene(1, duration_s=28.0)
-    one, other = (gappy(scene, camera) for camera in (1, 2))
+    """Three flights of 8 s are seen in a recording of twenty minutes."""
+    motions = []
+    for camera in (1, 2):
+        track = frame_track(make_scene(1, duration_s=28.0), camera, 30.0, seed=camera)
+        kept = track.times_s % 10.0 < 8.0
+        times_s = track.times_s[kept] + 600.0 * (track.times_s[kept] // 10.0)
+        motions.append(of_points(PointTrack(times_s, track.points_px[kept])))
+    one, other = motions
     views = TwoViews(one, other, None, Config())
     assert seen_of(one).share < 0.1
     pairs = views.pairs_at(0.0)
