@@ -463,7 +463,7 @@ def test_two_minutes_of_noise_fit_on_a_page(result):
 def test_the_path_is_seen_where_both_cameras_see_it_and_camera_2_spreads_as_the_pose(result):
     scene = scene_of_two(result.answer)
     points, times_s = np.array(scene["path"]), np.array(scene["times"])
-    seen, _ = result.answer.paired.sharp_at(times_s, result.t_d_s)
+    seen = result.answer.paired.motion1.sharp_at(times_s)
     images = points @ K.T
     off_px = np.linalg.norm(images[:, :2] / images[:, 2:] - seen.positions_px, axis=1)
     # The path is midway between rays of positions that lie some pixels off their epipolar lines.
