@@ -95,9 +95,8 @@ def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
 
 def shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
     """Return the texts of `shown_table`."""
-    of_rows = records(rows)
-    return pd.DataFrame({head: [form.format(**row) for row in of_rows]
-                         for head, form in columns.items()})  # fmt: skip
+    cells = [[form.format(**row) for form in columns.values()] for row in records(rows)]
+    return pd.DataFrame(cells, columns=list(columns))
 
 
 def records(rows: pd.DataFrame) -> list[dict[str, Any]]:

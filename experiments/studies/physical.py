@@ -299,17 +299,17 @@ def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]
     ]  # fmt: skip
 
 
+@by_group("light_ratio", "polarity")
+def _apparent(group: pd.DataFrame) -> dict[str, float]:
+    ok = answered(group)
+    apparent = statistics(ok, ["apparent_ms"], "mean", "std")
+    std_ms = ok["t_d_std_ms"].mean()
+    return {"runs": len(group), "answered": len(ok), **apparent, "t_d_std_ms": std_ms}
+
+
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Return apparent offsets, estimate less truth; `swapped_ms`: mean with lights swapped."""
-    runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
-
-    def row(group: pd.DataFrame) -> dict[str, float]:
-        ok = answered(group)
-        apparent = statistics(ok, ["apparent_ms"], "mean", "std")
-        std_ms = ok["t_d_std_ms"].mean()
-        return {"runs": len(group), "answered": len(ok), **apparent, "t_d_std_ms": std_ms}
-
-    table = by_group("light_ratio", "polarity")(row)(runs)
+    table = _apparent(runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"]))
     means = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
     inverse = zip(1.0 / table["light_ratio"], table["polarity"], strict=True)
     swapped = means.reindex(list(inverse)).to_numpy()

@@ -66,8 +66,7 @@ def fit_of(network: Network, k: int) -> Fit:
     slopes = basis(knots_s, clipped_s, 1)[1]
     points = products(first, weights, network.path.coefficients)
     velocities = products(first, slopes, network.path.coefficients)
-    found = projected(state, seen, points, velocities)
-    points_px, in_front, by_point, by_camera, columns = found
+    points_px, in_front, by_point, by_camera, columns = projected(state, seen, points, velocities)
     off_px = seen.points_px - points_px
     linear = Linear(first, weights, by_point, by_camera, columns, off_px)
     return Fit(linear, in_front, inside & in_front)

@@ -7,6 +7,7 @@ attitude is unknown it says `0 0 0 1` in each row. Where the scale is unknown, t
 metre but the distance between cameras 1 and 2, and names are written without `_m`.
 """
 
+import csv
 import pathlib
 from dataclasses import dataclass
 
@@ -137,7 +138,7 @@ def rows_of(file: pathlib.Path, kind: str) -> list[list[str]]:
     with readable(file, kind, "give one"):
         lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     return [
-        [cell.strip() for cell in line.split(",")] if "," in line else line.split()
+        [cell.strip() for cell in next(csv.reader([line]))] if "," in line else line.split()
         for line in lines
         if line and not line.startswith("#")
     ]

@@ -382,7 +382,7 @@ def test_a_camera_that_fits_nowhere_gets_no_place_and_no_scale_rests_on_it(
 ):
     late, stated, rig = (tmp_path / name for name in ("late.csv", "positions.csv", "rig.yaml"))
     save_another(late, 1000.0)
-    stated.write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,9,0,0\n3,0,9,0\n")
+    stated.write_text('camera,x_m,y_m,z_m\n"1",0,0,0\n2,9,0,0\n3,0,9,0\n')
     near = "--search", *(flown.clocks[1].t_d_s + np.array([-1.0, 1.0]))
     options = ("--rig", files[-1], "--write-rig", rig, *near)
     scale = (option, 7 if option == "--distance" else stated)
