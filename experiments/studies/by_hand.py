@@ -3,7 +3,7 @@
 A user should not need a setting that the default could have found out. Of each recording the
 default is judged; where it is not right, eight settings are tried that a user would try.
 
-    ssac by-hand --first 3850                           # what is committed; kinds take turns
+    ssac by-hand --first 4450                           # what is committed; kinds take turns
     ssac by-hand --base 1 --recordings 72 --out out     # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 
@@ -211,8 +211,8 @@ _SPOILS: Mapping[str, Callable[[Kind, Rng, float], tuple[Kind, str]]] = {
 
 # --- What is said of them ---
 
-BASE, FIRST, N_RECORDINGS = 300, 3850, 600
-"""No choice was made on these; the next start at 4450.
+BASE, FIRST, N_RECORDINGS = 300, 4450, 600
+"""No choice was made on these; the next start at 5050.
 
 On those before, and bases 1 to 5, 100, 101 and 200, some were made.
 """
@@ -346,6 +346,7 @@ def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
 
     Each recording is one of `wrong`, `settled`, where a setting is right and gives more, be it an
     offset or a pose, `right`, and refused by all; `settings` are those that are right, with counts.
+    Of `settled_refused` the default gives nothing.
     `beyond` are over `MAX_SIGMAS` deviations off, and `worst` is the recording that is farthest
     off, and by how many.
     """
@@ -382,6 +383,7 @@ def _counts(default: pd.DataFrame) -> dict[str, Any]:
         "answered": int(given.sum()),
         "posed": int(default["pose_given"].astype(bool).sum()),
         **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
+        "settled_refused": int(((default["verdict"] == "settled") & ~given).sum()),
         **shares,
         "beyond": int(default["is_beyond"].sum()),
         "worst": _worst(default),
@@ -461,7 +463,7 @@ STUDIES = (
         again=False,
         numbers={
             f"by_hand.{name}": quoted("by_hand", f"{{{name}:.0f}}", kind="all")
-            for name in ("recordings", "right", "wrong", "settled", "beyond")
+            for name in ("recordings", "right", "wrong", "settled", "settled_refused", "beyond")
         }
         | {
             "by_hand.held": quoted("by_hand", _ALL_HELD, kind="all"),

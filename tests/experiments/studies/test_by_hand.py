@@ -65,7 +65,7 @@ def test_the_table_says_what_became_of_each_recording() -> None:
     table = by_hand.hand_table(pd.DataFrame(runs)).set_index("kind")
     row = table.loc["all"]
     assert (row["recordings"], row["answered"], row["posed"]) == (6, 4, 2)
-    assert (row["right"], row["wrong"], row["settled"]) == (2, 1, 2)
+    assert (row["right"], row["wrong"], row["settled"], row["settled_refused"]) == (2, 1, 2, 1)
     assert (row["refused"], row["settings"]) == ("no_match 2", "--search-all 2")
     assert (row["beyond"], row["worst"], row["cpu_s_median"]) == (1, "1: 7.0", 1.0)
     # 2.0 is outside the 95 % bound of 1.96; 2.7 of three angles and 2.4 of two are inside theirs.
