@@ -137,12 +137,14 @@ def save_text(path: Path, text: str) -> None:
 
 def png_bytes(figure: "Figure") -> bytes:
     """Draw a figure as a PNG with a palette, without the time and the program's version."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    whole, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(whole, format="rgba", dpi=DPI)
-    width, height = (int(DPI * inches) for inches in figure.get_size_inches())
-    image = Image.frombytes("RGBA", (width, height), whole.getvalue())
+    figure.set_dpi(DPI)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()  # once; savefig draws twice, to know a box that is not asked for
+    image = Image.frombuffer("RGBA", canvas.get_width_height(), canvas.buffer_rgba())
+    small = io.BytesIO()
     # No dithering: its specks look like data.
     reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
     reduced.save(small, format="PNG", optimize=True)
