@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,7 @@ else:
 
 ROOT = Path(__file__).parents[1]
 LIST = Path(__file__).with_suffix(".toml")
-TIMEOUT_S = 900.0
+TIMEOUT_S, NO_END = 900.0, -1
 PACKAGES = ("sim", "ssac", "experiments", "tests")
 
 
@@ -81,28 +82,28 @@ def verdict(mutant: Mutant, tree: Path) -> str:
     try:
         path.write_text(mutated, encoding="utf-8")
         code, said = _tested(tree, mutant.arguments(tree), cache)
-    except subprocess.TimeoutExpired:
-        return "killed (it did not end)"
     finally:
         path.write_text(text, encoding="utf-8")
         os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     failed = [line[7:].split(" - ")[0] for line in said.splitlines() if line.startswith("FAILED ")]
-    if code != 1 or not failed:
+    if code != NO_END and (code != 1 or not failed):
         return "survived" if code == 0 else f"no verdict:\n{said}"
-    without, _ = _tested(tree, failed[:1], {})
-    return (
-        f"killed {failed[0]}" if without == 0 else f"no verdict: without it too {failed[0]} fails"
-    )
+    noticed = failed[0] if failed else "as they do not end"
+    without, _ = _tested(tree, failed[:1] or mutant.arguments(tree), {})
+    return f"killed {noticed}" if without == 0 else f"no verdict: {noticed}, without it too"
 
 
 def _tested(tree: Path, arguments: Sequence[str], cache: dict[str, str]) -> tuple[int, str]:
-    """Run tests up to the first failure; return pytest's exit code and output."""
+    """Run tests up to the first failure; return pytest's exit code or NO_END, and its output."""
     settings = os.environ | {"PYTHONPATH": str(tree)} | cache
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *arguments]
-    done = subprocess.run(
-        command, cwd=tree, env=settings, timeout=TIMEOUT_S, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=settings, timeout=TIMEOUT_S, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return NO_END, ""
     return done.returncode, done.stdout + done.stderr
 
 
@@ -112,13 +113,19 @@ def main() -> int:
     parser.add_argument("-k", default="", metavar="PART", help="of a name, or of a file")
     part = parser.parse_args().k
     chosen = [one for one in mutants() if part in one.name or part in one.file]
-    verdicts = []
+    n_trees = os.cpu_count() or 1
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        tree = scratch_copy(Path(folder) / "tree")
-        for one in chosen:
-            start_s = time.monotonic()
-            verdicts.append(verdict(one, tree))
-            print(f"{one.name}: {verdicts[-1]} ({time.monotonic() - start_s:.0f} s)", flush=True)
+        trees = [scratch_copy(Path(folder) / str(k)) for k in range(n_trees)]
+
+        def timed(one: Mutant) -> str:
+            tree, start_s = trees.pop(), time.monotonic()
+            found = verdict(one, tree)
+            trees.append(tree)
+            print(f"{one.name}: {found} ({time.monotonic() - start_s:.0f} s)", flush=True)
+            return found
+
+        with ThreadPoolExecutor(n_trees) as pool:
+            verdicts = list(pool.map(timed, chosen))
     left = [one for one, found in zip(chosen, verdicts, strict=True) if found[:6] != "killed"]
     print(f"{len(chosen)} mutants, {len(chosen) - len(left)} killed")
     for one in left:
