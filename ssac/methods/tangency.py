@@ -236,7 +236,7 @@ def _as_seen(start: Estimate, found: Estimate, views: TwoViews) -> Estimate:
         return found
     rules, n_tangents = views.rules.tangency, 2 * len(tangent_times(views, found.t_d_s))
     joined = with_body(found, views)
-    is_dark = any(one.background_hz >= rules.dark_hz for one in views.cleans or ())
+    is_dark = views.noise_hz >= rules.dark_hz
     few = n_tangents * (rules.few_seen_in_dark if is_dark else rules.few_seen)
     if joined.t_d_s != found.t_d_s or found.n_samples >= few:
         share = joined.n_samples / n_tangents

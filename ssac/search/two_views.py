@@ -78,6 +78,7 @@ class TwoViews:
     rig: Rig  # both cameras; with extrinsics only where a method may use them
     config: Config  # resolved: see `Config.resolved`
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
+    noise_hz: float = 0.0  # of an ordinary pixel, of the noisier camera
     clock: Clock = field(default_factory=Clock)  # of camera 2, without the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
     cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # that the motions are of
@@ -186,7 +187,8 @@ class TwoViews:
 def views_of(one: Clean, other: Clean, rig: Rig, config: Config) -> TwoViews:
     """Prepare the views of two cameras' denoised recordings for sampling: the paper's Sec. IV-A."""
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
-    return TwoViews(*motions, rig, config, cleans=(one, other))
+    noise_hz = max(one.background_hz, other.background_hz)
+    return TwoViews(*motions, rig, config, noise_hz=noise_hz, cleans=(one, other))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from ssac.methods.joint import joint_from
 from ssac.methods.tangency import leaves_offset_open, refine_tangents, tangency_from
 from ssac.rules import OutlineRules, PointRules, TangencyRules
 from ssac.search.object_track import ShapedTrack
+from ssac.search.two_views import views_of
 from ssac.track.denoise import Clutter
 from ssac.track.motion import point_motion
 from ssac.track.outline import Tangents, near_outline, tangents
@@ -158,9 +159,10 @@ def test_deviations_of_few_tangents_grow_by_half_of_the_difference_from_the_star
 
 @pytest.mark.parametrize(("noise_hz", "start_std_s"), [(0.4, 0.02), (0.6, 0.02), (0.6, 1e-6)])
 def test_few_tangents_in_the_dark_are_at_most_as_sure_as_the_start(noise_hz, start_std_s):
-    clean = VIEWS.cleans[0]
-    noisy = replace(clean, clutter=Clutter(0, 0, noise_hz, 5.0, 20, 200))
-    views = replace(VIEWS, cleans=(clean, noisy))
+    clean, other = VIEWS.cleans
+    noisy = replace(other, clutter=Clutter(0, 0, noise_hz, 5.0, 20, 200))
+    noisy_hz = views_of(clean, noisy, VIEWS.rig, VIEWS.config).noise_hz
+    views = replace(VIEWS, noise_hz=noisy_hz, cleans=None)  # as in a network
     start = replace(by_means(), t_d_std_s=start_std_s)
     many, few = (
         by_rules(start, views, few_seen=0.0, few_seen_in_dark=share, seen_times=(1.0, 1.0))
