@@ -204,7 +204,7 @@ def scaled(estimate: Estimate, factor: float) -> Estimate:
 def as_certain_as(other: Estimate, estimate: Estimate) -> Estimate:
     """Return an estimate with the deviations of another one, of the same pairs and kind of clock.
 
-    Both must have a pose and its covariance.
+    Both must have a pose and its covariance. The offset does not become more certain.
     """
     t, other_t, covariance = estimate.t, other.t, other.covariance
     assert t is not None
@@ -212,7 +212,7 @@ def as_certain_as(other: Estimate, estimate: Estimate) -> Estimate:
     assert covariance is not None
     to_basis = np.eye(6)  # t's two angles are about axes that depend on t
     to_basis[4:, 4:] = tangent_basis(t) @ tangent_basis(other_t).T
-    return replace(
+    as_other = replace(
         estimate,
         t_d_std_s=other.t_d_std_s,
         skew_std_ppm=other.skew_std_ppm,
@@ -221,6 +221,7 @@ def as_certain_as(other: Estimate, estimate: Estimate) -> Estimate:
         covariance=to_basis @ covariance @ to_basis.T,
         clock_covariance=other.clock_covariance,
     )
+    return widened(as_other, max(0.0, estimate.t_d_std_s**2 - other.t_d_std_s**2))
 
 
 def widened(estimate: Estimate, hidden: float) -> Estimate:

@@ -329,7 +329,9 @@ class Chain:
             other = replace(pair, rig=rig)
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= most:
-                unlike = "" if found.status == Status.OK else "as stated, nothing fits"
+                is_slight = found.against <= pair.config.rules.verdict.in_doubt
+                is_slight &= found.status == Status.OK
+                unlike = "" if is_slight else "as stated, nothing fits"
                 misfit, tried = found.misfit or unlike, rig
                 is_alike = bool(by_other.without_body) == bool(found.without_body)
                 if not misfit and by_other.status == Status.OK and is_alike:

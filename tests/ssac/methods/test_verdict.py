@@ -158,9 +158,12 @@ def test_deviations_of_a_direction_stay_those_about_the_same_axes_in_space():
     near = np.array([[0.5, 0.50001, 0.7], [0.50001, 0.5, 0.7]])  # their bases lie across
     one, other = near / np.linalg.norm(near, axis=1, keepdims=True)
     covariance = np.diag([1e-6, 1e-8, 1e-8, 1e-8, 1e-8, 9e-8])
-    uncertain = Estimate("joint", t=other, covariance=covariance)
-    found = as_certain_as(uncertain, Estimate("joint", t=one, covariance=np.eye(6)))
-    np.testing.assert_array_equal(found.covariance[:4, :4], covariance[:4, :4])
+    uncertain = Estimate("joint", t_d_std_s=1e-3, t=other, covariance=covariance)
+    sure = Estimate("joint", t_d_std_s=2e-3, t=one, covariance=np.eye(6))
+    found = as_certain_as(uncertain, sure)
+    np.testing.assert_array_equal(found.covariance[1:4, 1:4], covariance[1:4, 1:4])
+    # The offset's deviation is the larger one.
+    assert (found.t_d_std_s, found.covariance[0, 0]) == pytest.approx((2e-3, 4e-6))
     assert found.covariance[4, 4] > 1.5 * covariance[4, 4]
     in_space, expected = (
         tangent_basis(told.t).T @ told.covariance[4:, 4:] @ tangent_basis(told.t)

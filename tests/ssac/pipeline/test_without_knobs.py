@@ -11,7 +11,7 @@ import ssac
 from ssac import Answer, Config, PointTrack, load_rig
 from ssac.camera import Rig, with_deviations
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
-from ssac.methods import tangency
+from ssac.methods import refinement, tangency
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
@@ -233,6 +233,14 @@ def test_the_more_intrinsics_are_in_doubt_the_wider_are_the_deviations(events, r
     assert slightly.t_d_s == as_stated.t_d_s  # a slight doubt widens, and moves nothing
     np.testing.assert_array_equal(slightly.estimate.R, as_stated.R)
     assert slightly.estimate.r_std_deg > 1.5 * as_stated.r_std_deg
+
+
+def test_a_doubt_that_no_single_parameter_explains_is_none_the_less_real(events, monkeypatch):
+    named = ssac.sync(*events, [longer(0.015), UNSTATED])
+    monkeypatch.setattr(refinement, "wanted", lambda _: "")
+    found = ssac.sync(*events, [longer(0.015), UNSTATED])
+    assert "as stated, nothing fits" in found.note
+    np.testing.assert_array_equal(found.estimate.R, named.estimate.R)
 
 
 @pytest.mark.parametrize(
