@@ -40,7 +40,7 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: point {np.argmin(finite)} has a value that is no finite number: leave out"
             " the rows in which the object was not seen"
         )
-    disorder = disorder_of(times_s)
+    disorder = disorder_of(times_s, of_sensor=True)
     if disorder:
         raise SsacError(f"{name}: {disorder}")
     longest_s = 100.0  # between points: longer than in any track of an object
@@ -64,13 +64,16 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
         )
 
 
-def disorder_of(times_s: Array) -> str:
-    """Say which of the times (n,) [s] is not after the one before it; empty where all are."""
+def disorder_of(times_s: Array, of_sensor: bool = False) -> str:
+    """Say which of the times (n,) [s] is not after the one before it; empty where all are.
+
+    Those of an event sensor may be a counter's, which begins anew.
+    """
     backwards = np.diff(times_s) <= 0.0
     if not backwards.any():
         return ""
     k = int(np.argmax(backwards)) + 1
-    if wrapped(times_s[k - 1], times_s[k]):
+    if of_sensor and wrapped(times_s[k - 1], times_s[k]):
         return wrap_message(f"point {k}")
     return (
         f"rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after one at"

@@ -126,8 +126,7 @@ def check_moves(name: str, path: Path, least: int) -> None:
     """Raise SsacError unless a path has so many points, and moves."""
     if len(path) < least:
         raise SsacError(
-            f"{name} has {len(path)} points, and at least {least} tell how it is turned: give more"
-            " of it"
+            f"{name} has {len(path)} points, and at least {least} are needed: give more of it"
         )
     if not np.ptp(path.positions_m, axis=0).any():
         raise SsacError(f"{name} stands still: give a path that moves")

@@ -137,11 +137,11 @@ def rows_of(file: pathlib.Path, kind: str) -> list[list[str]]:
     """Return the cells of all lines but comments, which commas or else blanks part."""
     with readable(file, kind, "give one"):
         lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
-    return [
-        [cell.strip() for cell in next(csv.reader([line]))] if "," in line else line.split()
-        for line in lines
-        if line and not line.startswith("#")
-    ]
+        return [
+            [cell.strip() for cell in next(csv.reader([line]))] if "," in line else line.split()
+            for line in lines
+            if line and not line.startswith("#")
+        ]
 
 
 def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:

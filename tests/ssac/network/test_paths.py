@@ -78,6 +78,7 @@ def test_forms_that_are_read(tmp_path, text):
         ("0 1 2 3\n1 2 nan 4\n", "point 1 has a value that is no finite number"),
         ("1 1 2 3\n0 2 2 4\n", "time order, but point 1"),
         ("0 1 2 3\n0 2 2 4\n", "time order, but point 1"),
+        ("12 1 2 3\n0 2 2 4\n", "time order, but point 1"),  # not as a sensor's counter
         ("0 1 2 3\n1 2 two 4\n", "must be 4 numbers, but point 1 is '1 2 two 4'"),
         ("0 1 2 3\n1 2 4\n", "must be 4 numbers, but point 1 is '1 2 4'"),
         ("0 1 2 3 4\n1 2 4 4 5\n", "got 5 numbers"),
@@ -88,6 +89,7 @@ def test_forms_that_are_read(tmp_path, text):
         ("0 1 2 3\n200000 1 2 4\n", "give seconds"),
         ("0 1 2 3 0 0 0 1\n1 1 2 4 0 0 0 0\n", "quaternion is zero"),
         (b"\x89PNG\xff\xfe\x00", "not a text file"),
+        ("0,1,2," + 200_000 * "3", "not a text file of a path .*field larger"),
     ],
 )
 def test_what_is_no_path_is_refused_in_one_line(tmp_path, text, reason):
