@@ -168,8 +168,11 @@ def check_out_dir(out_dir: Path, ours: Path | None = None) -> None:
     """Raise SimError when a path is a file, or a folder that holds anything but `ours`."""
     if out_dir.exists() and not out_dir.is_dir():
         raise SimError(f"{out_dir} is a file: name a folder to write the recording to")
-    if out_dir.is_dir() and any(path != ours for path in out_dir.iterdir()):
-        raise SimError(f"{out_dir} is not empty: name a new folder, or empty it first")
+    theirs = [path.name for path in out_dir.iterdir() if path != ours] if out_dir.is_dir() else []
+    if theirs:
+        raise SimError(
+            f"{out_dir} is not empty, {theirs[0]} is in it: name a new folder, or empty it first"
+        )
 
 
 @dataclass(frozen=True)

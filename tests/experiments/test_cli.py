@@ -116,7 +116,7 @@ def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    assert re.fullmatch(r"error: \. is not empty: .*\n", capsys.readouterr().err)
+    assert re.fullmatch(r"error: \. is not empty, .*\n", capsys.readouterr().err)
 
 
 @pytest.mark.render
