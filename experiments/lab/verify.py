@@ -43,8 +43,11 @@ _STATUSES = {*map(str, Status), *_NO_REASON, CRASHED, UNUSABLE, "skipped"}
 _NOT_OF_CONFIG = ("study", SHARD, "options", "figure")
 _OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns on which a flight's recording does not depend
 
-_UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
-"""Errors of a check on a missing file, or on one with another structure than expected."""
+_UNLIKE = (
+    OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError, NameError,
+)  # fmt: skip
+"""Errors of a check on a missing file, or on one with another structure than expected; of names, as
+a query's without its column."""
 
 
 @dataclass(frozen=True)

@@ -262,6 +262,7 @@ FRAMES_HZ = 60.0
 DURATIONS_S = (150.0, 300.0, 600.0)
 NOISE_PX = 0.5
 _DISTANCE_M, _FOCAL_PX = 35.0, 900.0
+_NOISE_M = NOISE_PX * _DISTANCE_M / _FOCAL_PX
 MARK_S, MARK_MB = 600.0, 4096.0  # of the longest flight
 _SEED = 74_000
 _SHORT_S = 20.0
@@ -422,7 +423,7 @@ GROWTH = (
             ("within the mark of time", no_row("network_growth", f"not 0 <= wall_s <= {MARK_S}")),
             (
                 "the path errs by less than a point's noise",
-                no_row("network_growth", f"path_rmse_m > {NOISE_PX * _DISTANCE_M / _FOCAL_PX}"),
+                no_row("network_growth", f"not 0 <= path_rmse_m <= {_NOISE_M}"),
             ),
             (
                 "within the mark of memory",

@@ -52,7 +52,7 @@ WITH_TRUTH, SHIFTED = 4, 1
 
 OFFSET_GIVEN = [str(status) for status in Status if status.has_offset]
 _LAST_DIGIT = 1e-5  # relative tolerance of closures and strays: tables have eight digits
-_AFFINE_MS = 1e-3  # tolerance of strays beside an affine clock
+_AFFINE_MS = 1e-5  # tolerance of strays beside an affine clock
 _KNOT_S = 1e-4  # tolerance of the times between knots
 _CLOSURE_MS = 0.01  # tolerance of closures: offsets of 100 s and skews have eight digits
 _COLUMNS = 5  # of small axes, one for each pair
@@ -209,7 +209,7 @@ def _stray_faults(results: Results) -> Iterator[str]:
         if len(knots) < 2 or np.ptp(np.diff(times_s)) > _KNOT_S:
             yield f"the knots of {key} are not several, evenly spaced"
         # Strays are the residuals of the best affine clock: they have no mean and no slope.
-        elif np.abs(np.polyval(np.polyfit(times_s, strays_ms, 1), times_s)).max() > _AFFINE_MS:
+        elif not np.abs(np.polyval(np.polyfit(times_s, strays_ms, 1), times_s)).max() <= _AFFINE_MS:
             yield f"the strays of {key} are not beside an affine clock"
     most_ms = strays["stray_ms"].abs().groupby([strays[one] for one in KEY]).max()
     yield from _unlike(results.table(PAIRS), "most_stray_ms", most_ms, 0.0)

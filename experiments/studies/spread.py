@@ -83,7 +83,7 @@ def _digest(path: Path) -> str:
     """Return a digest of a file, or of all files of a bag and the topic in it."""
     bag, topic = bag_of(path) or (path, "")
     found = hashlib.sha256(topic.encode())
-    for part in sorted(bag.iterdir()) if bag.is_dir() else [bag]:
+    for part in sorted(filter(Path.is_file, bag.iterdir())) if bag.is_dir() else [bag]:
         found.update(part.read_bytes())
     return found.hexdigest()
 

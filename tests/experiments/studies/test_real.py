@@ -39,6 +39,8 @@ DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; 
         (STRAYS, "\n2,0,1,0.0333667,-", "\n2,0,1,0.0333667,-9", "the strays of (2, 0, 1)"),
         (STRAYS, "\n2,0,1,5.0409629,", "\n2,0,1,6.0409629,", "the knots of (2, 0, 1)"),
         (STRAYS, "\n2,0,1,", "\n2,0,9,", "(2, 0, 9): most_stray_ms is nan"),
+        (STRAYS, r"(\n2,0,1,5.0409629,)[-\d.]+", r"\g<1>", "the strays of (2, 0, 1)"),
+        (PATHS, "max_m", "most_m", "UndefinedVariableError: name 'max_m' is not"),
         (PATHS, "\n2,", "\n3,", "real_paths.csv has not each data set once"),
         (PATHS, r"(\n1,4,,)[\d.]+", r"\g<1>0.018", "real_paths.csv, row 0: mean_m > rmse_m"),
         (PATHS, r"(\n1,4,,(?:[\d.]+,){3})[\d.]+", r"\g<1>0.01", "real_paths.csv, row 0: rmse_m >"),

@@ -72,5 +72,6 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     assert (of_t_d["median"].abs() < 10.0).all()
     events = {f"/{path.stem}": arrays(load_events(path).events) for path in files[:2]}
     bag = write_bag(tmp_path / "bag", events)
+    (bag / "notes").mkdir()
     run("study", "spread", bag / "cam1", bag / "cam2", files[2], *folders, "--workers", 1)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "spread_runs.csv"), runs)
