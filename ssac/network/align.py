@@ -121,7 +121,8 @@ class InTime:
         inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
         piece = np.searchsorted(self.times_s, times_s, side="right") - 1
         piece = np.clip(piece, 0, len(self._is_gap) - 1)
-        return np.asarray(inside & (~self._is_gap[piece] | (times_s == self.times_s[piece])))
+        is_own = (times_s == self.times_s[piece]) | (times_s == self.times_s[-1])
+        return np.asarray(inside & (~self._is_gap[piece] | is_own))
 
 
 def interpolated(path: Path) -> InTime:

@@ -36,16 +36,18 @@ def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) 
     if placed is None:
         return None
     built = _first(placed, group, priors, distance)
+    if built is None:
+        return None
     more = grown(Placed(built.states, placed.inliers), group)
     if len(more.states) > len(built.members):
         built = _first(more, group, priors, distance)
-    while len(built.members) > 2:
+    while built is not None and len(built.members) > 2:
         worst = _misfit(built, group.rules)
         if worst is None:
             break
         states = {k: state for k, state in built.states.items() if k != worst}
         built = _first(Placed(states, 0), group, priors, distance)
-    return _whole(built, group.links, body)
+    return None if built is None else _whole(built, group.links, body)
 
 
 def _supported(
@@ -67,8 +69,11 @@ def _knot_step_s(cameras: list[Sightings], rules: NetworkRules) -> float:
     return float(np.clip(rules.knot_intervals * intervals[-2], *rules.knot_steps_s))
 
 
-def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) -> Built:
-    """Adjust affine clocks and poses, without intrinsics, from the cameras' first placement."""
+def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) -> Built | None:
+    """Adjust affine clocks and poses, without intrinsics, from the cameras' first placement.
+
+    None: no two of them see the object on rays that are apart.
+    """
     members, rules = sorted(placed.states), group.rules
     based = rebased(placed.states, members[0])
     apart = float(np.linalg.norm(based[members[1]].t))
@@ -77,10 +82,14 @@ def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) 
     step_s = _knot_step_s(cameras, rules)
     times, masks = _supported(states, cameras, step_s)
     shared_s = np.concatenate([t[mask] for t, mask in zip(times, masks, strict=True)])
+    if len(shared_s) == 0:
+        return None
     knots_s = knots_for(shared_s, step_s, rules.max_gap_s)
     sample_s = np.sort(shared_s)[:: max(1, len(shared_s) // (4 * len(knots_s)))]
     points = triangulate(states, cameras, sample_s, rules)
     seen = np.isfinite(points[:, 0])
+    if not seen.any():
+        return None
     path, jerk = first_path(knots_s, sample_s[seen], points[seen], rules)
     sigmas = np.array([rules.first_sigma_widths * camera.camera.width for camera in cameras])
     expected = []
@@ -150,7 +159,7 @@ def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None
     """Follow one point of the body; elsewhere centroids count less. None: it is not determined."""
     looks = []
     for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
-        if seen.images is None or seen.spreads_px2 is None or seen.camera.distortion_coeffs:
+        if seen.images is None or seen.spreads_px2 is None or any(seen.camera.distortion_coeffs):
             return None
         times_s = _times_on_path(network, k)
         view = _view(network, k, times_s, seen.spreads_px2)

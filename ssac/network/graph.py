@@ -54,9 +54,8 @@ class Link:
 
     def off(self, a: CameraState, b: CameraState) -> Array:
         """Return the link's offset, turn, direction and skew less those of two states (7,)."""
-        told_R, told_t, R = np.asarray(self.R), np.asarray(self.t), b.R @ a.R.T
-        t = b.t - R @ a.t
-        t = t / np.linalg.norm(t)
+        told_R, told_t = np.asarray(self.R), np.asarray(self.t)
+        R, t = _between(a, b)
         turn = Rotation.from_matrix(told_R @ R.T).as_rotvec()
         direction = tangent_basis(told_t) @ (told_t - t)
         skew = PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0
@@ -107,6 +106,13 @@ def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]
     return found
 
 
+def _between(a: CameraState, b: CameraState) -> tuple[Array, Array]:
+    """Return R (3, 3) and the direction (3,) of t of camera b relative to a."""
+    R = b.R @ a.R.T
+    t = b.t - R @ a.t
+    return R, t / np.linalg.norm(t)
+
+
 def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     """Return groups of cameras that reliable links connect, largest first; lone cameras too."""
     pairs = [pair for pair, link in links.items() if link.is_reliable]
@@ -143,7 +149,9 @@ def agreeing(
     for (a, b), link in links.items():
         if link.factor is not None and a in places and b in places:
             off = link.off(states[places[a]], states[places[b]])
-            turn_deg = np.rad2deg(np.linalg.norm(off[1:4]))
+            t = _between(states[places[a]], states[places[b]])[1]
+            cosine = min(1.0, float(t @ np.asarray(link.t)))  # off has the sine, also of 179 deg
+            turn_deg = np.rad2deg(max(np.linalg.norm(off[1:4]), np.arccos(cosine)))
             if abs(off[0]) < rules.max_off_s and turn_deg < rules.max_turn_deg:
                 found[places[a], places[b]] = link
     return found

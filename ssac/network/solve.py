@@ -119,7 +119,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         pose_covariance=covariance[pose, pose],
         calibration=_calibration(seen.camera, state, deviations),
         knots_s=state.network_from_own(state.knots_s),
-        strays_s=state.strays_s,
+        strays_s=state.strays_s / (1.0 - state.rate),
         n_samples=int(np.count_nonzero(fit.used)),
         n_seen=len(seen),
         rms_px=fit.rms_px,
@@ -321,6 +321,6 @@ def _contradicted(
         (a, b): float(links[a, b].offset_off_s(built.states[a], built.states[b])[0])
         for built in built_all
         for a, b in combinations(built.members, 2)
-        if (a, b) in links
+        if (a, b) in links and links[a, b].is_reliable
     }
     return {pair: off for pair, off in off_s.items() if abs(off) > max_closure_s}

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from ssac import Clock, SsacError
-from ssac.network.align import Similarity, best_shift, similarity
+from ssac.network.align import Similarity, best_shift, interpolated, similarity
 from ssac.network.comparison import compare
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import solve_network
@@ -168,6 +168,14 @@ def check(found, clock, tolerance_s=0.004):
     assert frame.scale == pytest.approx(FRAME.scale, rel=0.01)  # noise of 2 cm in some 10 m
     off = Rotation.from_matrix(frame.R.T @ FRAME.R).magnitude()
     assert np.degrees(off) < 0.5  # noise, as for the scale
+
+
+@pytest.mark.parametrize("lone_s", [-10.0, 20.0])
+def test_a_path_covers_its_own_points_though_a_gap_is_beside_the_first_or_last(lone_s):
+    times_s = np.sort(np.append(np.arange(10.0), lone_s))
+    points = np.random.default_rng(0).normal(size=(11, 3))
+    np.testing.assert_allclose(interpolated(Path(times_s, points)).at(times_s), points)
+    assert np.isnan(interpolated(Path(times_s, points)).at(np.array([lone_s / 2 + 4.0]))).all()
 
 
 @pytest.mark.parametrize("shift_s", [0.0, -301.37, 1.7e9])

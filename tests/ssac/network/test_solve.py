@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac import Estimate, PointTrack, Status
+from ssac.network import build
 from ssac.network.adjustment import border_offsets, known
 from ssac.network.align import Similarity
 from ssac.network.graph import factor_of, shared_by
@@ -97,6 +98,7 @@ def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solution
     guess = replace(flight.link(1, 2, 3.0), is_reliable=False)
     found = flight.solved(flight.links() | {(1, 2): guess})
     assert set(found.closures_s) == {(0, 1, 3), (0, 2, 3)}  # no closure rests on a guess
+    assert not found.wrong_pairs  # nor did that pair claim anything
     links = {pair: link for pair, link in flight.links().items() if pair in ((0, 1), (2, 3))}
     found = flight.solved(links)
     assert [camera.group for camera in found.cameras] == [1, 1, 2, 2]
@@ -111,6 +113,27 @@ def test_a_wrong_pair_is_named_and_groups_that_no_pair_connects_are_two_solution
     found = flight.solved(links)
     assert found.left_out == ["cam3", "cam4"]
     assert "no pair" in found.cameras[3].reason
+
+
+def test_cameras_whose_rays_are_nowhere_apart_have_no_path(monkeypatch) -> None:
+    flight, _ = solved(3)
+    monkeypatch.setattr(build, "triangulate", lambda *of: np.full((len(of[2]), 3), np.nan))
+    found = flight.solved()
+    assert not found.built
+    assert all("no pair of the group gave a pose" in one.reason for one in found.cameras)
+
+
+def test_a_clock_says_what_its_state_does_also_where_it_strays_and_is_fast() -> None:
+    flight = seen_as(make_flight(3), lambda k, times_s: (0.0, {}), has_frames=True)
+    built = flight.solved().built[0]
+    strays_s = np.linspace(-0.01, 0.02, len(built.network.states[1].strays_s)) ** 2
+    assert len(strays_s) > 2
+    state = replace(built.network.states[1], rate=0.2, strays_s=strays_s)
+    states = [built.network.states[0], state, built.network.states[2]]
+    clock = answer_of(replace(built, network=replace(built.network, states=states)), 1, 1).clock
+    own_s = built.network.cameras[1].times_s[50:-50:10]
+    shown_s = clock.cam2_from_cam1(state.network_from_own(own_s))
+    np.testing.assert_allclose(shown_s, own_s, rtol=0.0, atol=1e-9)
 
 
 def test_a_rate_that_pairs_found_is_kept_however_far_from_its_prior() -> None:
@@ -311,10 +334,12 @@ def test_a_pair_tells_the_same_on_clocks_that_count_from_1970(sure) -> None:
             np.testing.assert_allclose(by_then, by, rtol=1e-3, atol=1e-3 * np.abs(by).max())
 
 
-def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
+@pytest.mark.parametrize(("turn_rad", "sign"), [(0.2, 1.0), (0.0, -1.0)])
+def test_a_pair_that_the_sightings_contradict_is_left_out(turn_rad, sign) -> None:
     flight = make_flight(3)
     links, without = flight.links(), flight.solved()
-    links[1, 2] = true_pair(flight, 1, 2, turn_rad=0.2)
+    pair = true_pair(flight, 1, 2, turn_rad)
+    links[1, 2] = replace(pair, t=sign * pair.t)
     found = flight.solved(links)
     assert not found.built[0].network.constraints
     for mine, other in zip(found.cameras, without.cameras, strict=True):
