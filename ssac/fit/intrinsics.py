@@ -140,7 +140,10 @@ def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Arra
     values = parameters.columns[len(parameters.columns) - n :]
     for one, value in zip(uncertain_ones(problem.rig)[:n], values, strict=True):
         K, axis = Ks[one.camera], one.place % 2
-        K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
+        if one.place < 2:  # before the centre, which moves by a share of the focal length found
+            K[axis, axis] /= 1.0 - value
+        else:
+            K[axis, 2] += value * K[axis, axis]
     return Ks[0], Ks[1]
 
 

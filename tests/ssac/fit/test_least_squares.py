@@ -10,6 +10,7 @@ from ssac.camera import Camera, Rig, undistort_points, with_deviations
 from ssac.fit import intrinsics, least_squares
 from ssac.fit.least_squares import Column, Parameters, Problem, WeighedPairs, linearise, solve
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
+from ssac.geometry.pose import rays_of
 from ssac.rules import FitRules
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, rotation_angle_deg, track_pair
 
@@ -223,6 +224,18 @@ def test_drawn_errors_are_within_the_stated_deviations(seed):
     F = fundamental_from_pose(*intrinsics.intrinsics_of(residuals.problem, found), found.R, found.t)
     p1, p2 = track_pair(SCENE, TIMES_S)
     assert np.median(np.abs(sampson_distance(F, p1, p2))) < 0.1  # of 0.3 px noise at 400 pairs
+
+
+def test_intrinsics_found_are_those_whose_rays_the_columns_move_to():
+    problem = intrinsics.with_intrinsics(problem_of(rig_of(0.01, 3.0)))
+    shares = np.array([0.1, -0.2, 0.05, 0.03])
+    columns = np.concatenate([shares, np.zeros(4)])
+    found = intrinsics.intrinsics_of(problem, replace(TRUTH, columns=columns))[0]
+    points_px = problem.pairs.p1_px
+    moves = intrinsics.moves_of(problem.rig.cam1, points_px)
+    moved = points_px + np.einsum("k,knj->nj", shares, moves)
+    expected = rays_of(problem.rig.cam1.K, moved)
+    np.testing.assert_allclose(rays_of(found, points_px), expected, atol=1e-12)
 
 
 def test_wrong_intrinsics_show_also_exact_ones_unless_the_cameras_face_each_other():
