@@ -47,6 +47,10 @@ class Camera:
         object.__setattr__(self, "K", K)
         if self.intrinsics_std_px is None:
             object.__setattr__(self, "intrinsics_std_px", self._good_std_px)
+        for name in ("distortion_coeffs", "intrinsics_std_px"):  # lists and arrays too
+            values = _floats(getattr(self, name))
+            if values.ndim == 1 and not np.isnan(values).all():
+                object.__setattr__(self, name, tuple(values.tolist()))
 
     @property
     def states_intrinsics(self) -> bool:

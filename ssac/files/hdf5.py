@@ -47,8 +47,11 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
             events = _read_blocks(len(cd), cd.__getitem__, path)
         elif all(column is not None for column in columns.values()):
             check_lengths({field: column.shape for field, column in columns.items()}, str(path))
-            signs = [sign for column in columns.values() for sign in _signs_of_loss(column)]
-            refuse_damaged(path, signs, reading)
+            # Of lost times the zeros show, and are left out; of lost coordinates they do not.
+            refuse_damaged(path, _signs_of_loss(columns["t"]), reading)
+            lost = [sign for field in "xyp" for sign in _signs_of_loss(columns[field])]
+            if lost:
+                raise SsacError(f"{path}: is damaged: {'; '.join(lost)}: copy or record it again")
             events = _read_blocks(
                 len(columns["t"]), lambda block: {f: columns[f][block] for f in "txyp"}, path
             )
@@ -173,8 +176,8 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
             )
     largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
     stored = found.id.get_storage_size()
-    # A megabyte does no harm, and no codec expands one byte to more than 1000.
-    if largest > max(1 << 20, 1000 * stored):
+    # A megabyte does no harm, and of frames of an even sky Zstd makes 20,000 bytes of one.
+    if largest > max(1 << 20, 50_000 * stored):
         raise SsacError(
             f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
             "stored: the file is damaged, copy or record it again"

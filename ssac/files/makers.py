@@ -206,6 +206,11 @@ def _signs_of_packets(path: Path) -> list[str]:
             raise ValueError(f"its header says that it has {n_header} bytes")
         header = file.read(n_header)
         _check_description(header)
+        n_streams = header.count(b">EVTS<")
+        if n_streams > 1:
+            raise SsacError(
+                f"{path}: holds {n_streams} streams of events: write each to a file of its own"
+            )
         streams = {int(number) for number in _STREAM.findall(header)}
         place = _field_place(header, 1)  # position of the packet table, after the packets
         table = struct.unpack_from("<q", header, place)[0] if place else 0

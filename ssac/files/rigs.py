@@ -240,7 +240,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
     check_transform(T_2_1, f"{path}, R")
     unit = storage.getNode("length_unit")  # a key of ours: OpenCV itself states no unit
     in_metres = not unit.empty() and _length_unit(unit.string(), str(path)) == LENGTH_UNITS[0]
-    T_2_1 = T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1))
+    T_2_1 = T_2_1 if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T_2_1))
     return Rig(cam1, cam2, T_2_1, in_metres)
 
 

@@ -17,6 +17,7 @@ from ssac.camera import (
     Camera,
     check_camera,
     distort_points,
+    same_camera,
     undistort_points,
     undistortion_map,
 )
@@ -118,6 +119,14 @@ POINTS = np.random.default_rng(0).uniform((0, 0), (345, 259), (500, 2))
 
 def _camera(model="none", coeffs=()):
     return Camera(K, 346, 260, model, coeffs)
+
+
+def test_a_camera_takes_lists_and_arrays_and_can_be_compared_and_kept():
+    lens, stds_px = LENSES[1][1], (1.0, 1.0, 2.0, 2.0)
+    plain = Camera(K, 346, 260, "radtan", lens, stds_px)
+    given = Camera(K.tolist(), 346, 260, "radtan", np.array(lens), list(stds_px))
+    assert same_camera(plain, given)
+    assert len({plain.intrinsics_std_px, given.intrinsics_std_px}) == 1
 
 
 @pytest.mark.parametrize(("model", "coeffs"), LENSES)

@@ -84,6 +84,14 @@ def test_an_aedat4_header_takes_no_memory_by_its_size_and_its_xml_must_be_parsed
             load_events(path, ALLOWED)  # the first would make the library end the process
 
 
+def test_an_aedat4_file_of_two_sensors_is_refused(tmp_path):
+    path = tmp_path / "cam1.aedat4"
+    whole = write_faery(path)
+    path.write_bytes(whole.replace(b">events</attr>", b">EVTS</attr>  ", 1))
+    with pytest.raises(SsacError, match=r"cam1\.aedat4: holds 2 streams of events: write each"):
+        load_events(path, ALLOWED)
+
+
 def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
     mixed = random_events(N)
     mixed["t"][1:] -= 400 * (np.arange(1, N) % 3)  # neighbours and their neighbours change places

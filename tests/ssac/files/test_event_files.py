@@ -282,11 +282,15 @@ def _declared(file):
         file.create_dataset(f"events/{field}", (4_000_000_000,), np.int64, chunks=(1000,))
 
 
-def _lost_block(file):
-    t = file["events/t"][:]
-    del file["events/t"]
-    column = file.create_dataset("events/t", t.shape, t.dtype, chunks=(500,))
-    column[:1000], column[1500:] = t[:1000], t[1500:]
+def _lost_block(field):
+    def change(file):
+        values = file[f"events/{field}"][:]
+        del file[f"events/{field}"]
+        how = values.shape, values.dtype
+        column = file.create_dataset(f"events/{field}", *how, chunks=(500,))
+        column[:1000], column[1500:] = values[:1000], values[1500:]
+
+    return change
 
 
 HDF5 = [
@@ -303,7 +307,8 @@ HDF5 = [
     (lambda file: file.create_dataset("t_offset", data=np.nan), "t_offset must be one number"),
     (lambda file: file.create_dataset("CD/events", data=5), "CD/events must be a list of x"),
     (_declared, "says that it has 4000000000 values, but 0 bytes of it are stored"),
-    (_lost_block, "is damaged: 1 of 4 blocks of events/t are lost"),
+    (_lost_block("t"), "is damaged: 1 of 4 blocks of events/t are lost.*--allow-damaged"),
+    (_lost_block("y"), "is damaged: 1 of 4 blocks of events/y are lost: copy or record it again$"),
     (lambda file: os.truncate(file.filename, 9000), "truncated"),
 ]
 SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
@@ -470,6 +475,15 @@ def test_unusable_frames_are_refused(tmp_path, times_us, images, message):
     path = write_frames(tmp_path / "cam1.h5", times_us, images)
     with pytest.raises(SsacError, match=message):
         hdf5.load_frames(path)
+
+
+def test_frames_of_an_even_sky_are_no_damage_however_small_they_are_stored(tmp_path):
+    images = np.full((100, 200, 300), 7, np.uint8)
+    how = {"chunks": (20, 200, 300), **hdf5plugin.Zstd(clevel=10)}
+    path = write_frames(tmp_path / "cam1.h5", np.arange(100), images, **how)
+    with h5py.File(path) as file:
+        assert file["frames/images"].id.get_storage_size() < images.size / 2000
+    np.testing.assert_array_equal(hdf5.load_frames(path)[1], images)
 
 
 def test_lost_frames_are_refused_without_the_advice_to_allow_damage(tmp_path):

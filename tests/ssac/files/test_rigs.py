@@ -176,6 +176,7 @@ def test_opencv_stereo(tmp_path, letter, coeffs, model, more, T_2_1):
     for camera in (rig.cam1, rig.cam2):
         assert same_camera(camera, Camera(K, 346, 260, model, coeffs[:8]))
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
+    np.testing.assert_array_equal(load_rig(path, [1, 2]).T_2_1, T_2_1)
     swapped = load_rig(path, (2, 1))
     assert swapped.in_metres == rig.in_metres == (T_2_1 is None or more.get("length_unit") == "m")
     assert T_2_1 is None or np.linalg.norm(swapped.T_2_1[:3, 3]) == pytest.approx(np.linalg.norm(T))
