@@ -275,7 +275,10 @@ def _follow(y, x, t1, i0, i1, pixels, rates, dim_hz, events, n):
                 stop = min(stop, able_s)
             else:
                 half = np.floor((course.rad_s * t + course.rad) / np.pi + 1e-9) + 1.0
-                stop = min(stop, (half * np.pi - course.rad) / course.rad_s)
+                turn_back_s = (half * np.pi - course.rad) / course.rad_s
+                if turn_back_s <= t:  # as rounded, of a fast flicker late
+                    turn_back_s = ((half + 1.0) * np.pi - course.rad) / course.rad_s
+                stop = min(stop, turn_back_s)
         crossing_s, polarity = crossing_of(
             t, stop, level, step_up, step_down, leak, rates.eps, course
         )

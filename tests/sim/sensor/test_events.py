@@ -399,6 +399,12 @@ def test_a_signal_that_turns_within_an_interval_passes_its_threshold():
     np.testing.assert_allclose(coarse["t"], events["t"], atol=2)  # rounding, in a fall of 10 ms
 
 
+def test_a_fast_flicker_ends_its_cycles_also_late():
+    still, effects = np.full((2, 1, 1), 0.5), SensorEffects(flicker_depth=0.4, flicker_hz=20_000.0)
+    events = events_of(still, np.array([590.0, 590.01]), effects=effects)
+    assert len(events) > 200  # in each of its 200 cycles
+
+
 @pytest.mark.parametrize("cutoff_hz", [1e6, 50.0])
 def test_flicker_is_what_light_that_swings_would_be(cutoff_hz):
     depth, hz = 0.4, 100.0
