@@ -100,6 +100,8 @@ def value_of(name: str, results: Results, place: str, numbers: Numbers) -> str:
         raise SsacError("no such number: a study in experiments/studies/ declares it")
     except SsacError as error:
         raise SsacError(f"{place}: {name}: {error}") from error
+    except LookupError as error:
+        raise SsacError(f"{place}: {name}: the results have no {error}: make them anew") from error
 
 
 def _brief(text: str) -> str:

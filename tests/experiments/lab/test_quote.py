@@ -83,6 +83,12 @@ def test_a_gap_in_the_results_names_the_number(root, old, new, said):
     assert any(said in line for line in stale_numbers(root, NUMBERS))
 
 
+def test_a_column_that_results_do_not_have_is_stale_and_no_crash(root):
+    numbers = NUMBERS | {"sum.low": lambda of: str(of.table("squares")["median"][0])}
+    with pytest.raises(SsacError, match=r"README.md:3: sum.low: the results have no 'median'"):
+        rewrite_numbers(root, numbers)
+
+
 def test_an_unknown_name_is_stale_and_a_comment_that_is_not_closed_an_error(root):
     rewrite_numbers(root, NUMBERS)
     page, names = root / "docs" / "a.md", ("minutes.squares", "minutes.cubes", "no.such")
