@@ -127,7 +127,11 @@ class Refinement(ABC):
 
     def no_convergence(self, reason: str) -> Estimate:
         """Refuse the start with the status "no_convergence"."""
-        return replace(self.start, status=Status.NO_CONVERGENCE, reason=reason)
+        return self.start_refused(Status.NO_CONVERGENCE, reason)
+
+    def start_refused(self, status: Status, reason: str) -> Estimate:
+        """Refuse the start, which then has no pose."""
+        return replace(self.start, status=status, reason=reason, R=None, t=None, covariance=None)
 
     def moved(self, parameters: Parameters) -> str:
         """Say by how much the refinement moved the offset."""

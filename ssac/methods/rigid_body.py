@@ -95,7 +95,7 @@ def _shapes_of(views: TwoViews) -> tuple[_Shape, _Shape] | str:
 def _shape_of(shaped: ShapedTrack, views: TwoViews, k: int) -> _Shape | str:
     """Take the silhouettes of camera k; or say why there are none of use."""
     camera = views.rig.cam1 if k == 1 else views.rig.cam2
-    if camera.distortion_coeffs:
+    if any(camera.distortion_coeffs):
         return f"camera {k}'s lens distorts its image"
     if shaped.spreads_px2 is None or shaped.images is None:
         return f"the outline does not close in camera {k}: noise, or too small an object"
@@ -103,7 +103,8 @@ def _shape_of(shaped: ShapedTrack, views: TwoViews, k: int) -> _Shape | str:
     times_s, centres = shaped.track.times_s[known], shaped.track.points_px[known]
     rules = views.rules.body
     track = PointTrack(times_s, centres, np.ones(len(times_s)))
-    motion = point_motion(track, camera, views.rules.points, rules.centre_window_s)
+    seen_at_once = replace(camera, readout_s=None)  # rows are of frames, and these are events
+    motion = point_motion(track, seen_at_once, views.rules.points, rules.centre_window_s)
     return _Shape(camera.K, times_s, motion, shaped.spreads_px2[known], shaped.images.of(known))
 
 
@@ -149,7 +150,7 @@ def _followed(
         if np.count_nonzero(known) < views.rules.search.min_pairs:
             return "no one rigid body is seen in both silhouettes for long"
         track = PointTrack(shape.times_s[known], places[known], np.ones(int(known.sum())))
-        camera = (views.rig.cam1, views.rig.cam2)[k]
+        camera = replace((views.rig.cam1, views.rig.cam2)[k], readout_s=None)
         motions.append(point_motion(track, camera, views.rules.points, rules.point_window_s))
     return motions[0], motions[1]
 

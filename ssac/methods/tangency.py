@@ -338,7 +338,7 @@ class _OfTangents(Refinement):
             f"only {n_pairs} tangents are seen in both views, and {self.rules.search.min_pairs} are"
             " needed: the object is too small for an outline, take `joint`"
         )
-        return replace(self.start, status=Status.TOO_FEW_SAMPLES, reason=reason)
+        return self.start_refused(Status.TOO_FEW_SAMPLES, reason)
 
     def settles(self, last: Round) -> bool:
         return not self.is_far and self._is_near(last, 1.0)

@@ -214,10 +214,11 @@ class Chain:
         """Answer from the tracks of a faint object; if that fails, keep or explain the refusal."""
         key = self.config.cleaning, self.config.rules.retry
         both = [self._once(("followed", k, *key), partial(self._followed, k)) for k in places]
-        refusals = [refusal for _, refusal in both if refusal is not None]
+        refusals = [(n, refusal) for n, (_, refusal) in enumerate(both, start=1) if refusal]
         if refusals and answer.estimate.status in SETTLED_BY["few events"]:
-            status, reason = refusals[0].status, refusals[0].reason
-            estimate = replace(answer.estimate, status=status, reason=reason)
+            number, refusal = refusals[0]
+            reason = f"camera {number}: {refusal.reason}"
+            estimate = replace(answer.estimate, status=refusal.status, reason=reason)
             answer = replace(answer, estimate=estimate)
         (one, _), (other, _) = both
         if one is None or other is None:
@@ -234,7 +235,7 @@ class Chain:
         with self.watch.part("follow"):
             seen = self.recorded(k)
             found = followed(seen, cleaned, rules.noise, rules.retry.followed)
-            return found, retries.hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
+            return found, retries.hidden(seen, cleaned, found, rules.retry)
 
     def _asked(
         self, method: Method, places: tuple[int, int], cleans: tuple[Clean, Clean] | None = None

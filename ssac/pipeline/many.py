@@ -1,5 +1,6 @@
 """Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -88,7 +89,7 @@ class NetworkResult:
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
-                notes.setdefault(note, []).append(f"{a + 1}-{b + 1}")
+                notes.setdefault(numbered(note, (a, b)), []).append(f"{a + 1}-{b + 1}")
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():
             rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
@@ -117,8 +118,8 @@ class NetworkResult:
                 {
                     "cameras": [a + 1, b + 1],
                     "status": str(pair.estimate.status),
-                    "reason": pair.estimate.reason,
-                    "note": pair.note,
+                    "reason": numbered(pair.estimate.reason, (a, b)),
+                    "note": numbered(pair.note, (a, b)),
                     "t_d_s": plain(pair.estimate.t_d_s),
                     "t_d_std_s": plain(pair.estimate.t_d_std_s),
                     "contradicted_by_s": answer.wrong_pairs.get((a, b)),
@@ -361,6 +362,15 @@ def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -
         log(f"not written: {file}, since {'; '.join(reasons)}")
 
 
+def numbered(said: str, pair: Pair) -> str:
+    """Give cameras 1 and 2, of which a pair says something, their numbers in the network."""
+
+    def of_network(one: re.Match[str]) -> str:
+        return f"camera {pair[int(one[1]) - 1] + 1}"
+
+    return re.sub(r"\bcamera ([12])\b", of_network, said)
+
+
 def short_names(names: Sequence[str]) -> list[str]:
     """Return the shortest ends of all paths, without extensions, that differ from each other."""
     parts = [(*Path(name).parent.parts, Path(name).stem) for name in names]
@@ -377,15 +387,17 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     # A refused pair may not have its object: of a faint one there is no track, but noise.
     place, answer = max(own, key=lambda one: one[1].estimate.has_offset)
     clean = answer.cleans[place]
-    rules, camera = chain.config.rules.points, as_doubted(k, clean.camera, pairs)
+    # An answer may be of other windows than were asked for; so is then the track.
+    config = answer.config if answer.estimate.has_offset else chain.config
+    rules, camera = config.rules.points, as_doubted(k, clean.camera, pairs)
     try:
         if clean.track is not None:
             shaped = ShapedTrack(clean.track, None)
         elif len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
-            shaped = ShapedTrack(track_of_events(clean, chain.config), None)
+            shaped = ShapedTrack(track_of_events(clean, config), None)
         else:
             events = chain.recorded(k).events
-            shaped = shaped_track_of_events(clean, events, chain.config)
+            shaped = shaped_track_of_events(clean, events, config)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     has_frames = clean.has_track and not clean.n_followed

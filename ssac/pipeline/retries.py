@@ -108,13 +108,13 @@ def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> boo
 
 
 def hidden(
-    name: str, seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
+    seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
 ) -> Refusal | None:
-    """Refuse a camera's recording of a faint object, if noise hides too much of it."""
+    """Refuse one camera's recording of a faint object, if noise hides too much of it."""
     noise_hz = cleaned.background_hz
     if noise_hz < rules.quiet_hz:
         return None
-    reason = f"of {len(seen.events)} events of {name} "
+    reason = f"of {len(seen.events)} events "
     if found is None or found.track is None:
         reason += "too few keep together to be an object's"
     else:

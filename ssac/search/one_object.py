@@ -71,7 +71,12 @@ class _Matching:
     def both_see(self, lag: int) -> int:
         """Count the half bins in which both cameras see anything that moves, at an offset."""
         seen1, seen2 = (
-            {k for piece in of_view for k in range(2 * piece.first, 2 * piece.last)}
+            {
+                2 * (piece.first + k) + half
+                for piece in of_view
+                for k in np.flatnonzero(np.isfinite(piece.positions_px[:, 0])).tolist()
+                for half in (0, 1)
+            }
             for of_view in self.pieces
         )
         return len(seen1 & {k - lag for k in seen2})
@@ -79,7 +84,7 @@ class _Matching:
     def _sampled(self, piece: Piece) -> Grid:
         """Sample a piece at half bins: between bins it is the mean of its neighbours."""
         positions = piece.positions_px
-        sampled = np.empty((2 * len(positions) - 1, 2))
+        sampled = np.empty((max(2 * len(positions) - 1, 0), 2))
         sampled[::2], sampled[1::2] = positions, 0.5 * (positions[:-1] + positions[1:])
         return Grid(2 * piece.first, np.nan_to_num(sampled), np.isfinite(sampled[:, 0]))
 

@@ -79,7 +79,11 @@ class Start:
         def shown_us(times_us: IntArray) -> IntArray:
             return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
 
-        return cam2.on_clock(shown_us, lambda times_s: anchor_s + (times_s - anchor_s) / rate)
+        seen = cam2.on_clock(shown_us, lambda times_s: anchor_s + (times_s - anchor_s) / rate)
+        if not cam2.camera.readout_s:
+            return seen
+        readout_s = cam2.camera.readout_s / rate
+        return replace(seen, camera=replace(cam2.camera, readout_s=readout_s))
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
         """Convert an estimate to camera 2's own clock.
@@ -115,6 +119,8 @@ class Start:
             clock_covariance=None if of_clock is None else rate**2 * of_clock,
             strays_s=rate * estimate.strays_s,
             strays_std_s=rate * estimate.strays_std_s,
+            readouts_s=estimate.readouts_s * (1.0, rate),
+            readouts_std_s=estimate.readouts_std_s * (1.0, rate),
             jump=jump,
             alternatives_s=offset_s(estimate.alternatives_s),
             candidates_s=offset_s(estimate.candidates_s),

@@ -61,7 +61,9 @@ def motion_of(clean: Clean, how: Windows) -> "Motion":
     Sums over its events are cached in `clean`, as only the border's width changes them.
     """
     if clean.track is not None:
-        return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
+        of_events = replace(clean.camera, readout_s=None)  # which no rows delay
+        camera = of_events if clean.n_followed else clean.camera
+        return point_motion(clean.track, camera, how.points, how.half_window_s)
     if how.border_px not in clean.kept:
         clean.kept[how.border_px] = _summed_up(clean, how.border_px)
     motion: ObjectMotion = clean.kept[how.border_px]

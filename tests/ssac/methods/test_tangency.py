@@ -133,6 +133,7 @@ def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
         found = refine_tangents(start, views)
         assert (found.status, found.t_d_s) == (status, start.t_d_s)
         assert words in found.reason
+        assert (found.R, found.t, found.covariance) == (None, None, None)
 
 
 @cache

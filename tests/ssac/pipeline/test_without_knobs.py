@@ -13,13 +13,15 @@ from ssac.camera import Rig, with_deviations
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import refinement, tangency
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
+from ssac.pipeline.many import as_doubted, numbered, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_rows
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.rules import RetryRules, VerdictRules
-from ssac.track.clean import ObjectsUsed
+from ssac.search.all_offsets import Guess
+from ssac.search.start import Start
+from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
 from tests.ssac.network.flights import CAMERA as OF_FLIGHTS
@@ -192,6 +194,21 @@ def test_a_camera_without_sightings_of_its_own_is_left_out_of_the_network():
     pairs[0, 2] = replace(pairs[0, 2], cleans=(one, none))
     found = solve_pairs(chain, pairs)
     assert [camera.status for camera in found.cameras] == [Status.OK, Status.OK, Status.NO_MATCH]
+
+
+def test_what_a_pair_says_of_its_cameras_names_those_of_the_network():
+    said = "camera 1's lens, or camera 2's; camera 1 (0 to 2 s)"
+    assert numbered(said, (1, 2)) == "camera 2's lens, or camera 3's; camera 2 (0 to 2 s)"
+
+
+def test_a_readout_is_on_the_clock_that_a_search_over_rates_found():
+    camera = replace(CAMERA, readout_s=0.025)
+    seen = Clean(np.empty(0, ssac.EVENT_DTYPE), camera=camera)
+    guess = Guess(0.0, 0.0, rate=1.25, cost=0.0)
+    start = Start(SimpleNamespace(guesses=[guess]))
+    assert start.as_seen(seen).camera.readout_s == pytest.approx(0.02)
+    found = replace(Estimate("joint"), readouts_s=np.array([0.01, 0.02]))
+    np.testing.assert_allclose(start.as_recorded(found).readouts_s, [0.01, 0.025])
 
 
 @pytest.mark.parametrize(
