@@ -395,6 +395,13 @@ def test_a_delay_of_camera_2_changes_nothing_but_the_offset():
         np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
 
 
+def test_events_have_no_rows_that_a_readout_delays_and_a_lens_of_zeros_bends_nothing():
+    lens = {"distortion_model": "radtan", "distortion_coeffs": 4 * (0.0,)}
+    camera = replace(CAMERA, readout_s=0.03, **lens)
+    shape = rigid_body._shape_of(shaped()[1], body_views(shaped(), camera), 2)
+    np.testing.assert_array_equal(shape.centres.times_s, shapes_of(shaped())[1].centres.times_s)
+
+
 def test_it_says_why_there_is_no_body():
     views = body_views(shaped())
     assert rigid_body.body_points(OFF, views) == ""  # tracks have no silhouettes

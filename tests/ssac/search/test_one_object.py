@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Cameras, Chain, Config, Rig, Status, joint
+from ssac import Cameras, Chain, Config, PointTrack, Rig, Status, joint
 from ssac.pipeline import retries
 from ssac.rules import Rules
 from ssac.search.one_object import one_object
@@ -96,6 +96,15 @@ def test_a_track_beside_a_crowd_is_one_object(two_flights):
     assert [left.used.seen for left in found] == [2, 1]
     assert found[1].track is track.track
     assert abs(joint(*found, RIG).t_d_s - T_D_S) < 10 * NEAR_S
+
+
+@pytest.mark.parametrize(("seen", "is_found"), [(slice(1), False), (np.r_[0:90, 310:400], True)])
+def test_a_track_is_seen_only_where_it_has_points(seen, is_found, two_flights):
+    (cam1, _), *_ = two_flights
+    whole = frame_track(make_scene(4, duration_s=DURATION_S), 2, 50.0, T_D_S)
+    track = tracked(PointTrack(whole.times_s[seen], whole.points_px[seen]))
+    _, refusal = one_object([cam1, clean(track, CAMERA, Config().cleaning)], RULES, NEAR)
+    assert (refusal is None) == is_found
 
 
 def test_noise_that_is_kept_hides_things(two_flights):
