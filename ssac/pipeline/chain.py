@@ -217,7 +217,7 @@ class Chain:
         refusals = [(n, refusal) for n, (_, refusal) in enumerate(both, start=1) if refusal]
         if refusals and answer.estimate.status in SETTLED_BY["few events"]:
             number, refusal = refusals[0]
-            reason = f"camera {number}: {refusal.reason}"
+            reason = refusal.reason.format(number)  # of two, or of a network's pair
             estimate = replace(answer.estimate, status=refusal.status, reason=reason)
             answer = replace(answer, estimate=estimate)
         (one, _), (other, _) = both

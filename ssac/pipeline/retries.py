@@ -110,11 +110,14 @@ def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> boo
 def hidden(
     seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
 ) -> Refusal | None:
-    """Refuse one camera's recording of a faint object, if noise hides too much of it."""
+    """Refuse a camera's recording of a faint object, if noise hides too much of it.
+
+    The camera's number is to be put into the reason.
+    """
     noise_hz = cleaned.background_hz
     if noise_hz < rules.quiet_hz:
         return None
-    reason = f"of {len(seen.events)} events "
+    reason = f"of {len(seen.events)} events of camera {{}} "
     if found is None or found.track is None:
         reason += "too few keep together to be an object's"
     else:

@@ -190,7 +190,7 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
     ("args", "message"),
     [
         ("isolated.txt cam2.h5", "camera 1: denoising left 0 of 2 events: check .*--no-denoise"),
-        ("noise0.h5 noise1.h5", "no_motion: camera 1: of .* events too few keep together"),
+        ("noise0.h5 noise1.h5", "no_motion: of .* events of camera 1 too few keep together"),
     ],
 )
 def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
