@@ -44,7 +44,6 @@ FILES = {
     "drone.obj": b"v 0 0\nf 1 2 3\n",
     "mesh.toml": b'[fixed]\nsim.drone_file = "drone.obj"\n',
     "small.toml": b"[grid]\nsim.angle_deg = [30, 90]\n",
-    "typo.toml": b"[grid]\nsim.angel_deg = [30, 90]\n",
     "negative.toml": b"[fixed]\nsim.spline.duration_s = -1\n",
     "syntax.toml": b"title = \n",
     "latin.toml": b'title = "\xff"\n',
@@ -68,7 +67,6 @@ FILES = {
         ("figures fig3_preprocessing fig6", "unknown figure 'fig6': use one of fig3"),
         ("ablate windows", r"unknown ablation 'windows': use one of .*window"),
         ("ablate small.toml ./small.toml", r"small_runs\.csv would be written twice"),
-        ("ablate typo.toml", r"typo\.toml: unknown parameter 'sim\.angel_deg'"),
         ("sweep mesh.toml", r"drone\.obj"),
         ("merge runs.txt part.csv", r"runs\.txt: the table is a CSV, and its name must end with"),
         ("sweep negative.toml", r"negative\.toml: duration_s must be a positive number"),
@@ -76,7 +74,6 @@ FILES = {
         ("sweep latin.toml", r"latin\.toml: cannot be read as TOML: .* can't decode"),
         ("sweep none.toml", r"none\.toml: cannot be read as TOML"),
         ("verify --results none", "no such folder: run `make tables"),
-        ("simulate .", "is not empty"),
         *((f"simulate out {options}", fault) for options, fault in (
             ("--angle 180", "--angle: expected 1 to 179 degrees, got 180"),
             ("--cameras 5", "5 of them, 90 deg from each to the next, go once round: use an angle "

@@ -15,7 +15,6 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import METHODS, OURS, Input, Method
 
 OFFSETS_S = (0.05, 0.5)
@@ -23,18 +22,13 @@ OFFSETS_S = (0.05, 0.5)
 
 @pytest.fixture(scope="module")
 def pair(recorded):
-    rig = opened_rig(recorded / "rig_extrinsics.yaml", 2)
-    return Chain(opened(recorded.pair, rig), rig)
-
-
-def of_same(pair):
-    """Return a chain on the same pair, as a study has it, without results of methods yet."""
-    return Chain([replace(pair.clean(k), name="") for k in range(2)], pair.rig)
+    return Chain(recorded.pair, str(recorded / "rig_extrinsics.yaml"))
 
 
 @pytest.fixture
 def fresh(pair):
-    return of_same(pair)
+    """A chain on the same pair, as a study has it, without results of methods yet."""
+    return Chain([replace(pair.clean(k), name="") for k in range(2)], pair.rig)
 
 
 def cell_of(t_d_s):
@@ -92,7 +86,7 @@ def test_an_unusable_recording_is_so_at_all_offsets(fresh, monkeypatch):
 
 
 @pytest.mark.parametrize("field", ["t_d_s", "R", "status"])
-def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, monkeypatch):
+def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, monkeypatch):
     def mine(cam1, cam2, rig, config=None):
         shown_s = cam2.events["t"][0] * 1e-6
         estimate = Estimate("mine", t_d_s=shown_s, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]))
@@ -101,10 +95,11 @@ def test_a_method_that_does_not_follow_the_clock_is_stopped(field, fresh, pair, 
         return replace(estimate, **{field: wrong[field]}) if late else estimate
 
     with_method(monkeypatch, mine, follows_clock=True)
+    again = Chain([fresh.clean(k) for k in range(2)], fresh.rig)
     assert scored_row(cell_of(0.5), fresh).status == "ok"
     monkeypatch.setattr(scored, "GUARDED", 1)
     with pytest.raises(ArithmeticError, match=f"differs in {field}"):
-        scored_row(cell_of(0.5), of_same(pair))
+        scored_row(cell_of(0.5), again)
 
 
 def test_retries_of_a_row_may_denoise_by_other_rules(recorded):

@@ -107,21 +107,17 @@ OTHERS = {"distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
 DEFAULTS = {name: inspect.signature(simulate_command).parameters[name].default for name in OPTIONS}
 
 
-def test_an_option_that_is_not_given_has_the_default_of_its_field():
-    defaults = DEFAULTS | {"distortion": (), "background": ()}
-    assert chosen(defaults) == (SimConfig(), DisturbConfig())
-
-
 def flat(sim, disturb):
     fields = asdict(sim) | {"disturb": asdict(disturb)}
     return pd.json_normalize(fields).astype(object).iloc[0].to_dict()
 
 
 @pytest.mark.parametrize("name", [name for name, option in OPTIONS.items() if option.field])
-def test_an_option_sets_its_field_and_no_other(name):
-    default = DEFAULTS[name]
+def test_an_option_sets_its_field_and_no_other_and_else_that_has_its_default(name):
+    default, defaults = DEFAULTS[name], DEFAULTS | {"distortion": (), "background": ()}
+    assert chosen(defaults) == (SimConfig(), DisturbConfig())
     value = OTHERS.get(name, 0.5 * default if default and isinstance(default, float) else 1)
-    before, after = (flat(*chosen(given)) for given in ({}, {name: value}))
+    before, after = (flat(*chosen(defaults | given)) for given in ({}, {name: value}))
     changed = {key: one for key, one in after.items() if one != before.get(key)}
     assert changed == {OPTIONS[name].field: value}
 

@@ -127,12 +127,6 @@ def test_ones_own_grid_does_not_replace_a_result_of_the_project(tmp_path) -> Non
     assert sorted((path, path.read_bytes()) for path in out.iterdir()) == before
 
 
-def test_the_shards_of_an_ablation_are_merged_to_its_files(tmp_path) -> None:
-    run("merge", tmp_path / "ablation_window_runs.csv", RESULTS / "ablation_window_runs.csv")
-    for name in ("ablation_window_runs.csv", "ablation_window.csv"):
-        assert (tmp_path / name).read_bytes() == (RESULTS / name).read_bytes()
-
-
 def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:
     assert VARIANTS[AS_IT_IS] == TangencyRules()
     assert len(set(VARIANTS.values())) == len(VARIANTS)

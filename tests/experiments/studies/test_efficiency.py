@@ -21,7 +21,7 @@ from ssac.pipeline.api import two_views
 from ssac.rules import FitRules, TangencyRules
 from ssac.search.two_views import TwoViews
 from tests.ssac import synthetic
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_scene, track_pair
+from tests.ssac.synthetic import K, Scene, make_scene, track_pair
 
 TRIALS = 300
 WITHIN = 3.0 / np.sqrt(2.0 * TRIALS)  # three standard errors of an RMS of so many errors
@@ -33,14 +33,13 @@ def rate_of(place: Callable[[Array], Array], times_s: Array) -> Array:
     return (place(times_s + STEP_S) - place(times_s - STEP_S)) / (2.0 * STEP_S)
 
 
-def fly(scene: Scene) -> dict[str, Any]:
-    """Return what `fisher_information` asks for, of a true track where both cameras see it."""
-    times_s = scene.duration_s * (np.arange(400) + 0.5) / 400
+def fly(scene: Scene, n: int = 400) -> dict[str, Any]:
+    """Return what `fisher_information` asks for, of a true track at n times, also out of view."""
+    times_s = scene.duration_s * (np.arange(n) + 0.5) / n
     p1, p2 = track_pair(scene, times_s)
     v2 = rate_of(lambda at_s: track_pair(scene, at_s)[1], times_s)
-    seen = np.all((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT]), axis=1)
     of_scene = {"R": scene.R, "t": scene.t / np.linalg.norm(scene.t), "rig": scene.unknown_rig}
-    return {"p1_px": p1[seen], "p2_px": p2[seen], "v2_px_s": v2[seen], "noise_px": 0.3} | of_scene
+    return {"p1_px": p1, "p2_px": p2, "v2_px_s": v2, "noise_px": 0.3} | of_scene
 
 
 def information(flight: dict[str, Any], **changes: Any) -> Array:

@@ -42,6 +42,7 @@ HALF_VGA = (173, 130)  # a quarter of the default number of pixels, for speed
 BOX = box_drone((0.7, 0.5, 0.3))
 # Its parts intersect, and which part a sample sees there depends on the rounding of depths.
 QUADROTOR = quadrotor(rotor_hz=7.0)
+STILL = make_camera(), np.zeros(1), np.eye(4)[None], grey(make_camera())
 
 each_renderer = pytest.mark.parametrize("renderer", RENDERERS)
 
@@ -338,12 +339,10 @@ def test_a_renderer_that_differs_is_refused(monkeypatch):
 
 def test_without_the_check_opengl_is_not_opened(monkeypatch):
     monkeypatch.setattr(GLPainter, "__init__", Mock(side_effect=AssertionError))
-    scene = (BOX, make_camera(), np.zeros(1), np.eye(4)[None], grey(make_camera()))
-    assert drawn(*scene, unchecked("native")).min() < 0.6
+    assert drawn(BOX, *STILL, unchecked("native")).min() < 0.6
 
 
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch):
     monkeypatch.setattr("sim.scene.drone.Faces", Mock(side_effect=MemoryError))
-    scene = (painted(BOX, 0.2), make_camera(), np.zeros(1), np.eye(4)[None], grey(make_camera()))
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
-        drawn(*scene, unchecked("native"))
+        drawn(painted(BOX, 0.2), *STILL, unchecked("native"))

@@ -65,8 +65,6 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image():
 def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked():
     lens = {"distortion_model": "radtan", "distortion_coeffs": [*LENSES["radtan"]]}
     rig = look_at_rig((0, 40, 110, 260), **lens)
-    for camera in rig.cameras:
-        np.testing.assert_allclose(camera.project(np.zeros(3)), (173, 130), atol=1e-12)  # as above
     chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=True))
     assert list(chain) == ["cam0", "cam1", "cam2", "cam3"]
     assert chain["cam0"] == rig_document(**lens, intrinsics_std=[0.0] * 4)["cam0"]

@@ -31,10 +31,8 @@ REFINING = [method.name for method in OF_TRACKS if method.starts_from]
 WITHIN = {
     "ssac": (0.8e-3, 1.2, 1.2),
     "ssac-known": (0.8e-3, 1e-9, 1e-5),
-    "joint": (0.4e-3, 0.6, 0.4),
-    "joint-known": (0.4e-3, 1e-9, 1e-5),
-    "tangency": (0.4e-3, 0.6, 0.4),
-    "tangency-known": (0.4e-3, 1e-9, 1e-5),
+    **dict.fromkeys(("joint", "tangency"), (0.4e-3, 0.6, 0.4)),
+    **dict.fromkeys(("joint-known", "tangency-known"), (0.4e-3, 1e-9, 1e-5)),
     "albl": (1e-3, 1.5, 1.2),
 }
 

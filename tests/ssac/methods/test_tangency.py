@@ -24,7 +24,7 @@ from ssac.track.silhouette import Images
 from tests.ssac import box, synthetic
 from tests.ssac.balls import BODY_M, attitudes, drawn_at
 from tests.ssac.cluttered import mixed
-from tests.ssac.methods.flights import CLEAN, DURATION_S, MIDDLE, T_D_S, scene_of, seen
+from tests.ssac.methods.flights import CLEAN, DURATION_S, MIDDLE, T_D_S, flown, scene_of, seen
 from tests.ssac.synthetic import CAMERA, FOCAL_PX, K, make_scene
 
 SCENE = synthetic.make_scene(0, duration_s=6.0)
@@ -284,8 +284,7 @@ def test_deviations_are_neither_too_small_nor_too_large():
 
 def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
     """The width adds to the covariance as an independent error, and changes nothing else."""
-    scene = synthetic.make_scene(0, duration_s=DURATION_S)
-    chain, found = Chain(seen(scene), scene.rig, NEAR), []
+    chain, found = flown("free"), []
     for width in (0.0, 1.0, 2.0):
         rules = replace(NEAR.rules, tangency=TangencyRules(hidden_width=width))
         found.append(chain.under(replace(NEAR, rules=rules)).estimate("tangency"))

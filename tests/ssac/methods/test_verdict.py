@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac import Chain, Config, Estimate, Status, two_views
+from ssac import Chain, Config, Estimate, Status
 from ssac.estimate import SETTLED_BY
 from ssac.events import rounding_variance_s2
 from ssac.geometry.pose import tangent_basis
@@ -17,9 +17,9 @@ from ssac.methods.tangency import tangency_from
 from ssac.methods.verdict import as_certain_as, certain, doubt, widened
 from ssac.rules import RetryRules, Rules
 from ssac.track.observation import tracked
-from tests.ssac.box import box_events
 from tests.ssac.methods import flights
 from tests.ssac.methods.flights import CLEAN, T_D_S
+from tests.ssac.methods.test_tangency import VIEWS
 from tests.ssac.synthetic import make_scene
 from tests.ssac.tracks import frame_track
 
@@ -190,14 +190,9 @@ def test_positions_settle_what_the_table_names_of_a_search(status):
     assert all(one.status == Status.OK for one in tried)
 
 
-@pytest.fixture(scope="module")
-def views():
-    return two_views(*box_events(SCENE, 0), SCENE.unknown_rig, CLEAN)
-
-
 @pytest.mark.parametrize("status", REFUSALS)
 @pytest.mark.parametrize("searched", [Status.OK, Status.AMBIGUOUS_OFFSET, Status.NO_MATCH])
-def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, monkeypatch):
+def test_tangents_settle_what_the_table_names_of_joint(status, searched, monkeypatch):
     found = Estimate("tangency", t_d_s=T_D_S, t_d_std_s=1e-4)
     looked = []
 
@@ -208,9 +203,9 @@ def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, 
     monkeypatch.setattr("ssac.methods.hypotheses.Choice.settled", settled)
     search = replace(SEARCH, status=searched, alternatives_s=np.array([0.1]))
     start = Estimate("joint", status, "a reason", start=search)
-    estimate = tangency_from(start, views)
+    estimate = tangency_from(start, VIEWS)
     assert estimate.method == "tangency"
-    assert tangency_from(replace(start, start=None), views).status == status  # nothing to go to
+    assert tangency_from(replace(start, start=None), VIEWS).status == status  # nothing to go to
     if status in SETTLED_BY["tangency"]:
         assert estimate.status == Status.OK
         # From a search that is ok, positions compare the solutions; otherwise tangents do.

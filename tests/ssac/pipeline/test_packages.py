@@ -18,19 +18,14 @@ from experiments.lab.scored import SCORED, scored_row
 from sim.recording import SimConfig
 from ssac import Chain, Config, Estimate, Observation, PluginError, SsacError, load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.pipeline.opened import Recording
 from ssac.pipeline.registry import METHODS, OURS, Input, Registry, choose_method
 from ssac.track.observation import tracked
 from tests.answers import assert_same
+from tests.mutants import tomllib
 from tests.ssac.command import read_json, run
 from tests.ssac.methods import flights
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 from tests.ssac.tracks import frame_track, frame_tracks
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = [method.name for method in OURS]
@@ -251,9 +246,7 @@ def test_a_method_gets_what_is_clean_and_more_only_if_it_asks(site, recorded, mo
     for name in names:
         install(site, name, f"{name} = {name}:{name.upper()}", LOOKING)
     monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
-    rig = ssac.load_rig(recorded / "rig_extrinsics.yaml")
-    files = (Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2))
-    chain = Chain([*files], rig)
+    chain = Chain(recorded.pair, str(recorded / "rig_extrinsics.yaml"))
     for name in names:
         chain.estimate(name)
         ((*cameras, rig_shown, config, events, views),) = import_module(name).SEEN

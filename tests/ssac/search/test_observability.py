@@ -13,7 +13,8 @@ from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
 from ssac.track.denoise import Clutter
 from ssac.track.motion import ObjectMotion, object_motion
-from tests.ssac.synthetic import denoised, events_at, make_scene, track_pair
+from tests.ssac.synthetic import denoised, make_scene, track_pair
+from tests.ssac.track.test_denoise import blob
 
 RULES = Rules()
 SEARCH = RULES.search
@@ -23,13 +24,10 @@ CLUTTER = Clutter(1, 7, 0.1, 3.0, 1, 200)
 OFFSETS_S = np.arange(-1.0, 1.0, 0.001)
 
 
-def events_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0):
-    """Return the events of a blob of this size along a path, at 25 000 events a second."""
-    rng = np.random.default_rng(0)
-    times_s = np.sort(rng.uniform(0.0, duration_s, round(25_000 * duration_s)))
-    n = len(times_s)
-    sides = [path(times_s) + rng.normal(0.0, size_px, n) for path in (x_px, y_px)]
-    return events_at(times_s, np.column_stack(sides))
+def events_along(x_px, y_px, size_px: float = 6.0):
+    """Return 8 s of events of a blob of this size along a path, at 25 000 events a second."""
+    size = CAMERA.width, CAMERA.height
+    return blob(lambda t_s: (x_px(t_s), y_px(t_s)), 200_000, size_px, 8_000_000, size)
 
 
 def motion_along(*path, **how) -> ObjectMotion:

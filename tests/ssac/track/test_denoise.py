@@ -35,12 +35,12 @@ def pixels(*squares):
     return found
 
 
-def blob(path, n=60_000, deviation_px=1.8, duration_us=LONG_US):
+def blob(path, n=60_000, deviation_px=1.8, duration_us=LONG_US, size=(WIDTH, HEIGHT)):
     """Events normally distributed about path(times [s]) -> (x, y) [px]."""
     rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, 1e-6 * duration_us, n))
     points_px = np.stack(path(times_s), axis=-1) + rng.normal(0.0, deviation_px, (n, 2))
-    return events_at(times_s, points_px, (WIDTH, HEIGHT))
+    return events_at(times_s, points_px, size)
 
 
 def flight(t_s):
