@@ -27,6 +27,7 @@ BAD_INPUT = 2  # wrong usage, or a file that cannot be read or written
 BUG = 3  # a mistake of ours, or of a package whose method was run
 INTERRUPTED = 128 + 2  # Ctrl-C, as shells count it: 128 and the signal's number
 TERMINATED = 128 + 15  # SIGTERM, which `kill`, `timeout` and job schedulers send
+ENDED = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 PIPE_CLOSED = 128 + 13  # the reader of our output stopped reading, as `head` does
 
 
@@ -43,8 +44,8 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
             code = run()
         if sys.stdout is not None:  # None: closed by the parent process, as some services do
             sys.stdout.flush()
-    except KeyboardInterrupt:
-        code = INTERRUPTED
+    except (KeyboardInterrupt, SystemExit) as ended:
+        return _ended(ended)
     except BrokenPipeError:
         # Python flushes once more when it ends, and would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -53,13 +54,16 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
         return fail(str(error), BAD_INPUT)
     except Exception as error:
         raised = _signal_within(error)
-        if raised is None:
-            return fail(_bug_line(error), BUG)
-        if isinstance(raised, SystemExit):
-            raise raised from None
-        code = INTERRUPTED
-    if code == INTERRUPTED:
-        print("interrupted", file=sys.stderr)
+        return fail(_bug_line(error), BUG) if raised is None else _ended(raised)
+    return _ended(KeyboardInterrupt()) if code == INTERRUPTED else code
+
+
+def _ended(raised: BaseException) -> int:
+    """Say which signal has ended the command; return the code."""
+    code = raised.code if isinstance(raised, SystemExit) else INTERRUPTED
+    if code not in ENDED:
+        raise raised from None
+    print(ENDED[code], file=sys.stderr)
     return code
 
 
@@ -87,23 +91,32 @@ def warnings_as_lines() -> Iterator[None]:
 @contextmanager
 def _signals_as_exceptions() -> Iterator[None]:
     """Raise an exception in the block on Ctrl-C and SIGTERM, unless these have other handlers."""
+    raised: list[BaseException] = []
 
-    def interrupt(*_: object) -> None:
-        # Repeated every 3 s, as imports swallow some; in between, temporary files can be removed.
-        signal.setitimer(signal.ITIMER_REAL, 3.0)
-        raise KeyboardInterrupt
+    def end(number: int, _: object) -> None:
+        if number == signal.SIGTERM:
+            raised.append(SystemExit(TERMINATED))
+        elif number == signal.SIGINT:
+            raised.append(KeyboardInterrupt())
+        # Repeated every 3 s, as imports and finalisers swallow some; in between, temporary files
+        # can be removed.
+        if can_insist:
+            signal.setitimer(signal.ITIMER_REAL, 3.0)
+        raise raised[-1]
 
-    def end(*_: object) -> None:
-        os.write(2, b"terminated\n")
-        raise SystemExit(TERMINATED)
+    def unraisable(args: "sys.UnraisableHookArgs") -> None:
+        if args.exc_value not in raised:  # a finaliser cannot be ended; the next try will do
+            hook(args)
 
-    handlers: dict[signal.Signals, Callable[..., None]] = {}
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
     can_insist = hasattr(signal, "setitimer")  # not on every system
-    if can_insist and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        handlers |= {signal.SIGINT: interrupt, signal.SIGALRM: interrupt}
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        handlers[signal.SIGTERM] = end
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    numbers = [
+        number for number, default in defaults.items() if signal.getsignal(number) is default
+    ]
+    if can_insist and numbers:
+        numbers.append(signal.SIGALRM)
+    before = {number: signal.signal(number, end) for number in numbers}
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
     try:
         yield
     finally:
@@ -111,6 +124,7 @@ def _signals_as_exceptions() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+        sys.unraisablehook = hook
 
 
 def _signal_within(error: BaseException) -> BaseException | None:
