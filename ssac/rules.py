@@ -371,6 +371,7 @@ class FitRules:
     least_common: float = 0.5  # least factor by which common errors lessen a variance
     least_fading_times: float = 7.0  # least length of a recording for that, in the longest time
     most_shift: float = 0.5  # of intrinsics, as a share of the focal length: beyond, a fit diverges
+    as_good: float = 1.01  # loss, in the least, of a change of intrinsics that explains as much
     told_combinations: int = 2  # of the intrinsics, which two views of one path determine
     max_last_change: float = 0.5  # in the last round, in deviations: new events move the estimate
 

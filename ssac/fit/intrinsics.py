@@ -202,7 +202,9 @@ def _with_only(residuals: Residuals, amounts: Array, value: float = 0.0) -> Resi
     own = list(zip(problem.columns[-n:], amounts, strict=True))
     dp1_px = np.sum([amount * column.dp1_px for column, amount in own], axis=0)
     dp2_px = np.sum([amount * column.dp2_px for column, amount in own], axis=0)
-    columns = (*problem.columns[:-n], Column(dp1_px, dp2_px, is_of_camera=True))
+    shrinks = np.sum([amount * column.shrinks for column, amount in own], axis=0)
+    combined = Column(dp1_px, dp2_px, is_of_camera=True, shrinks=shrinks)
+    columns = (*problem.columns[:-n], combined)
     one = replace(problem, columns=columns, priors=problem.priors[:-n])
     start = residuals.parameters
     start = replace(start, columns=np.append(start.columns[:-n], value))
@@ -218,13 +220,16 @@ _CHANGES: tuple[tuple[str, tuple[int, ...], str, tuple[str, str]], ...] = (
 
 
 def wanted(residuals: Residuals) -> str:
-    """Say which change of one camera's intrinsics, or the other's, explains most of the misfit."""
+    """Say which changes of one camera's intrinsics, or the other's, explain most of the misfit.
+
+    A focal length often explains as much as a principal point: all that do are named.
+    """
     problem, parameters = residuals.problem, residuals.parameters
     ones = uncertain_ones(problem.rig)[: problem.n_of_cameras]
     plain = replace(problem, columns=problem.columns[: -len(ones)], priors=())
     at_rig = replace(parameters, columns=parameters.columns[: -len(ones)])
     scale_px = problem.turn * robust_deviation(linearise(plain, at_rig).distances_px)
-    found: list[tuple[float, str, str]] = []
+    found: list[tuple[float, str]] = []
     for camera, (name, places, unit, words) in product((0, 1), _CHANGES):
         amounts = [float(one.camera == camera and one.place in places) for one in ones]
         if not any(amounts):
@@ -239,9 +244,9 @@ def wanted(residuals: Residuals) -> str:
         size = 100.0 * share / (1.0 - share) if places[0] < 2 else share * K[axis, axis]
         rounded = float(f"{abs(size):.2g}")  # then :g, as 100 is not to be 1e+02
         by = f"{rounded:g} {unit}{words[int(size < 0.0)]}"
-        found.append((loss, name, f"camera {camera + 1}'s {name} wants to be {by}"))
-    found.sort()
-    return ", or ".join([said for _, name, said in found if name == found[0][1]][:2])
+        found.append((loss, f"camera {camera + 1}'s {name} wants to be {by}"))
+    most = problem.rules.as_good * min((loss for loss, _ in found), default=0.0)
+    return ", or ".join(said for loss, said in sorted(found) if loss <= most)
 
 
 def turned_by_focals(residuals: Residuals) -> Array:
