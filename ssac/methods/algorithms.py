@@ -266,7 +266,7 @@ def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimat
     rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     differ = no_match(distance_px, views.object_px, rules)
-    if differ is not None and views.alone.are_uniform:
+    if differ is not None and views.alone.are_uniform and not views.pose_is_known:
         differ = uniform()  # on a circle so many F fit that none may be found
     refusal = differ or ambiguous_offset(found, views.config.max_valley_s)
     return estimate if refusal is None else refused(estimate, refusal, found)

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from ssac.arrays import Array, IntArray
-from ssac.config import Interval
+from ssac.config import N_MIN, Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import distances_of
 from ssac.geometry.fundamental import reweighted_fundamental
@@ -379,7 +379,7 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     return replace(
         seen,
         events=seen.events.compress(chosen),
-        clutter=None,
+        clutter=seen.clutter and replace(seen.clutter, n_min=N_MIN),
         on_line=None,
         gaps_us=np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]]),
         used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),

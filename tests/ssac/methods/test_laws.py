@@ -170,6 +170,10 @@ def test_a_known_pose_leaves_the_offset_alone_to_be_told(method, path):
     estimate = found(path, method)
     assert estimate.status == "ok"
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=2e-3)  # 0.2 px at 100 px/s
+    if path == "circle":  # Bug: a wrong pose was called a uniform motion
+        scene = scene_of(flights.circle)
+        wrong = replace(scene.rig, T_2_1=np.linalg.inv(scene.rig.T_2_1))
+        assert Chain(seen(scene), wrong).under(flights.CLEAN).estimate(method).status == "no_match"
 
 
 @pytest.mark.parametrize("method", FREE)
