@@ -9,6 +9,7 @@ import numpy as np
 from ssac.arrays import Array, Mask
 from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
+from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.events import rounding_variance_s2
 from ssac.geometry.pose import centre_covariance
@@ -21,7 +22,6 @@ from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
 from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times
 from ssac.network.tum import Path
-from ssac.rules import Rules
 from ssac.search.all_offsets import Guess
 
 
@@ -221,15 +221,17 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     return Link(clock, estimate.has_offset, cost, *pose, factor)
 
 
-def _priors_of(seen: Sightings, skew_prior_ppm: float, pose_is_known: bool) -> Priors:
+def _priors_of(seen: Sightings, config: Config, pose_is_known: bool) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
+    may_wander = config.clock != "affine" and config.prior_ppm > 0.0
     std = np.array(seen.camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(seen.camera.K)[:2]
     return Priors(
-        rate=PPM * skew_prior_ppm,
+        rate=PPM * config.prior_ppm,
         readout_s=READOUT_STD_S if seen.has_frames and seen.camera.readout_s is None else 0.0,
         focal=(float(focal[0]), float(focal[1])),
         centre_px=(float(std[2]), float(std[3])),
+        roughness=PPM * config.roughness_ppm if may_wander else 0.0,
         pose_is_known=pose_is_known,
     )
 
@@ -237,19 +239,20 @@ def _priors_of(seen: Sightings, skew_prior_ppm: float, pose_is_known: bool) -> P
 def solve_network(
     cameras: Sequence[Sightings],
     links: Mapping[Pair, Link],
-    skew_prior_ppm: float,
+    config: Config,
     distance: float,
-    rules: Rules,
     pose_is_known: bool = False,
 ) -> NetworkAnswer:
     """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
-    Links of some pairs (a, b), a < b, may be wrong or missing. `skew_prior_ppm` is the deviation of
-    the clocks' skews, `distance` that between the first two cameras of each group. A pose that is
-    known is held where the links place its camera.
+    Links of some pairs (a, b), a < b, may be wrong or missing. Of `config` the clocks' priors are
+    taken, and the rules; `distance` is that between the first two cameras of each group. A pose
+    that is known is held where the links place its camera.
     """
-    listed, built_all = list(cameras), list[Built]()
-    priors = [_priors_of(seen, skew_prior_ppm, pose_is_known) for seen in listed]
+    listed, built_all, rules = list(cameras), list[Built](), config.rules
+    prior_ppm = config.resolved(any(seen.has_frames for seen in listed)).prior_ppm
+    config = replace(config, skew_prior_ppm=prior_ppm)
+    priors = [_priors_of(seen, config, pose_is_known) for seen in listed]
     answers = [
         CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
     ]

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
-from ssac.clock import PPM
 from ssac.rules import PointRules
 from ssac.search.object_track import ShapedTrack
 from ssac.track.motion import PointMotion, point_motion
@@ -224,6 +223,6 @@ class Priors:
     readout_s: float
     focal: tuple[float, float]
     centre_px: tuple[float, float]
-    roughness: float = 200.0 * PPM  # change of the rate from one piece of its clock to the next
+    roughness: float  # change of the rate from one piece of its clock to the next
     expected_rate: float = 0.0
     pose_is_known: bool = False  # it is held where the pairs place it

@@ -246,10 +246,8 @@ def solve_pairs(
         link = link_of(estimate, answer.guess, of_events)
         if link is not None and all(len(seen[k]) > 1 for k in pair):
             links[pair] = link
-    has_frames = any(camera.has_frames for camera in seen)
-    prior_ppm = chain.config.resolved(has_frames).prior_ppm
     posed = all(answer.method.needs_extrinsics for answer in pairs.values())
-    return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules, posed)
+    return solve_network(seen, links, chain.config, distance_m or 1.0, posed)
 
 
 def grounded(

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from ssac import Camera, Clock, PointTrack
+from ssac import Camera, Clock, Config, PointTrack
 from ssac.network.graph import Link, Pair
 from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
@@ -15,7 +15,7 @@ from ssac.rules import Rules
 from ssac.search.object_track import ShapedTrack
 from tests.ssac.synthetic import EXACT_PX, project
 
-RULES = Rules()
+RULES, PLAIN = Rules(), Config(skew_prior_ppm=50.0)
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
 K = np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(K, 960, 600, intrinsics_std_px=EXACT_PX)
@@ -61,10 +61,12 @@ class Flight:
         """Distance between the first two cameras."""
         return float(np.linalg.norm(self.poses[1][1]))
 
-    def solved(self, links: dict[Pair, Link] | None = None, rules: Rules = RULES) -> NetworkAnswer:
+    def solved(
+        self, links: dict[Pair, Link] | None = None, config: Config = PLAIN
+    ) -> NetworkAnswer:
         """Solve the network with the links of all pairs, or with other links."""
         links = self.links() if links is None else links
-        return solve_network(self.seen, links, 50.0, self.distance_m, rules)
+        return solve_network(self.seen, links, config, self.distance_m)
 
 
 def seen_by(track, name, has_frames=False, camera=CAMERA, spreads_px2=None) -> Sightings:

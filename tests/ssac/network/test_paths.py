@@ -17,7 +17,7 @@ from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import NetworkResult, write_many
 from ssac.rules import FitRules, GroundRules
 from tests.ssac.command import read_json, run
-from tests.ssac.network.flights import DURATION_S, RULES, make_flight
+from tests.ssac.network.flights import DURATION_S, PLAIN, RULES, make_flight
 
 
 @pytest.mark.parametrize("name", ["path.tum", "path.csv"])
@@ -355,7 +355,7 @@ TIMES_S = np.arange(0.0, DURATION_S, 0.2)
 @pytest.fixture(scope="module")
 def solved():
     flight = make_flight(4)
-    return flight, solve_network(flight.seen, flight.links(), 50.0, 1.0, RULES)
+    return flight, solve_network(flight.seen, flight.links(), PLAIN, 1.0)
 
 
 def centres_m(flight) -> np.ndarray:
@@ -454,7 +454,7 @@ def test_rtk_gives_them_too_without_its_lever_arm_whatever_its_clock_shows(solve
 def test_a_group_that_no_pair_connects_with_the_known_frame_is_not_in_metres(tmp_path):
     flight, log = make_flight(5), []
     alone = {pair: flight.links()[pair] for pair in ((0, 1), (0, 2), (1, 2), (3, 4))}
-    answer = solve_network(flight.seen, alone, 50.0, 1.0, RULES)
+    answer = solve_network(flight.seen, alone, PLAIN, 1.0)
     ground = by_positions(tmp_path, answer, centres_m(flight)[:3])
     result = result_of(in_frame(answer, ground), ground)
     metres, unknown = "in metres", "in distances of the first two cameras placed"
@@ -481,7 +481,7 @@ def test_a_camera_has_no_place_in_its_own_frame_whatever_rounding_leaves(solved)
 
 def test_where_rays_are_too_close_together_that_is_why_there_is_no_pose_and_no_path(tmp_path):
     network = replace(RULES.network, least_angle_deg=80.0)  # rays are 60 and 120 deg apart
-    answer = make_flight(3).solved(rules=replace(RULES, network=network))
+    answer = make_flight(3).solved(config=replace(PLAIN, rules=replace(RULES, network=network)))
     reasons, log = {camera.reason for camera in answer.cameras}, list[str]()
     assert [one.rpartition(", on rays ")[2] for one in reasons] == ["at least 80 deg apart"]
     write_many(result_of(answer), tmp_path / "path.csv", None, log.append)

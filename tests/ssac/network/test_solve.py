@@ -17,7 +17,7 @@ from ssac.network.ground import Ground, in_frame
 from ssac.network.solve import NetworkAnswer, answer_of, path_at, rounded_by
 from ssac.rules import BodyRules
 from ssac.track.moments import View, image_by_place, perspective_shifts
-from tests.ssac.network.flights import CAMERA, Flight, make_flight, seen_by
+from tests.ssac.network.flights import CAMERA, PLAIN, Flight, make_flight, seen_by
 from tests.ssac.synthetic import rotation_angle_deg as turn_deg
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])
@@ -125,6 +125,11 @@ def test_cameras_whose_rays_are_nowhere_apart_have_no_path(monkeypatch) -> None:
 
 def test_a_clock_says_what_its_state_does_also_where_it_strays_and_is_fast() -> None:
     flight = seen_as(make_flight(3), lambda k, times_s: (0.0, {}), has_frames=True)
+    for said in ({"clock": "affine"}, {"skew_prior_ppm": 0.0}):  # Bug: neither was heeded
+        found = flight.solved(config=replace(PLAIN, **said))
+        assert not any(len(camera.strays_s) for camera in found.cameras)
+        is_alike = abs(found.cameras[1].skew_ppm) < 1e-6  # but for rounding
+        assert is_alike == ("skew_prior_ppm" in said)
     built = flight.solved().built[0]
     strays_s = np.linspace(-0.01, 0.02, len(built.network.states[1].strays_s)) ** 2
     assert len(strays_s) > 2
