@@ -138,12 +138,7 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     if estimate.doubt:
         return replace(estimate, status=Status.POOR_FIT, reason=estimate.doubt, R=None, t=None)
     if not estimate.t_d_std_s <= rules.max_t_d_std_s:
-        reason = (
-            f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
-            f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it; record longer, or a"
-            " livelier flight"
-        )
-        return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
+        return _unsure(estimate, rules)
     if estimate.covariance is None or estimate.t is None:
         return estimate
     pose = estimate.covariance[1:, 1:]
@@ -164,6 +159,21 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     return replace(
         estimate, status=status, reason=reason, R=None, t=None, unobservable=unobservable
     )
+
+
+def with_sure_offset(estimate: Estimate, rules: VerdictRules) -> Estimate:
+    """Refuse an offset that is too uncertain, however it was found; NaN: of unknown deviation."""
+    too_wide = estimate.has_offset and estimate.t_d_std_s > rules.max_t_d_std_s
+    return _unsure(estimate, rules) if too_wide else estimate
+
+
+def _unsure(estimate: Estimate, rules: VerdictRules) -> Estimate:
+    reason = (
+        f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
+        f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it; record longer, or a"
+        " livelier flight"
+    )
+    return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
 
 
 def _in_words(direction: Array, t: Array) -> str:

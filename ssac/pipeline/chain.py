@@ -26,7 +26,7 @@ from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.events import rounding_variance_s2
 from ssac.methods.method import Input, Method
-from ssac.methods.verdict import as_certain_as, jumped, quantum_s, widened
+from ssac.methods.verdict import as_certain_as, jumped, quantum_s, widened, with_sure_offset
 from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, held_words, in_fifths, objects_seen, quiet
 from ssac.pipeline.opened import (
@@ -202,7 +202,7 @@ class Chain:
         if retries.may_give_start(method, answer.estimate):
             start = self._answered(choose_method(method.starts_from), places)
             if start.estimate.status == Status.OK:
-                return retries.by_start(start, method, self.config.rules.retry)
+                return retries.by_start(start, method, self.config.rules)
         estimate = answer.estimate
         if estimate.status in SETTLED_BY["jump"]:
             config = self._resolved(*places)
@@ -299,22 +299,30 @@ class Chain:
         cleans, config = pair.cleans, pair.config
         views = self._views(cleans, pair.rig.unposed, config)
         refusal = unusable(views, cleans, None if pair.tries_all else config.offsets_s)
-        if refusal is None and pair.tries_all and views.alone.are_straight:
+        if refusal is None and pair.tries_all:
             # For straight paths some F fits at any offset: only the speed along them tells it.
-            whole = overlapping(cleans)
-            near = replace(config, interval_s=whole, search="interval", rates=None)
-            pair = replace(pair, config=near)
-        elif refusal is None and pair.tries_all:
-            start = self._start(pair, views)
-            pair, refusal = replace(pair, start=start), start.refusal
-            if start.found.guesses:
-                key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
-                other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
-                near = start.config(config)
-                if not self._searches_all(*cleans):  # a retry: chance may match a short time
-                    near = replace(near, min_swings=config.min_swings)
-                pair = replace(pair, seen=(cleans[0], other), config=near)
+            start = None if views.alone.are_straight else self._start(pair, views)
+            needs_none = pair.method.needs_extrinsics and config.rates is None
+            if start is None or (start.refusal is not None and needs_none):
+                whole = overlapping(cleans)
+                near = replace(config, interval_s=whole, search="interval", rates=None)
+                pair = replace(pair, config=near)
+            else:
+                pair, refusal = self._from(start, pair), start.refusal
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
+
+    def _from(self, start: Start, pair: _Pair) -> _Pair:
+        """Let a pair be searched about the offsets that a start has found."""
+        cleans, config = pair.cleans, pair.config
+        pair = replace(pair, start=start)
+        if not start.found.guesses:
+            return pair
+        key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
+        other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
+        near = start.config(config)
+        if not self._searches_all(*cleans):  # a retry: chance may match a short time
+            near = replace(near, min_swings=config.min_swings)
+        return replace(pair, seen=(cleans[0], other), config=near)
 
     def _refined(self, pair: _Pair) -> Answer:
         """Run the method; where it fits poorly, also with other clocks and a less certain rig."""
@@ -384,7 +392,8 @@ class Chain:
         hidden_s2 = rounding_variance_s2(*map(quantum_s, pair.cleans))
         rig, seconds = self.rig.pair(*pair.places), dict(self.watch.seconds)
         made_from = pair.method, pair.cleans, rig, pair.config, self.rig.name, pair.start
-        return Answer(widened(estimate, hidden_s2), *made_from, seconds=seconds)
+        found = with_sure_offset(widened(estimate, hidden_s2), pair.config.rules.verdict)
+        return Answer(found, *made_from, seconds=seconds)
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         """Make an answer of the refusal of a stage before the method."""

@@ -15,9 +15,9 @@ from ssac.camera import Camera, Rig, same_camera, with_deviations
 from ssac.config import N_MIN, Config, Interval
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Method
-from ssac.methods.verdict import scaled
+from ssac.methods.verdict import scaled, with_sure_offset
 from ssac.pipeline.answer import Answer
-from ssac.rules import DEFAULT_RULES, RetryRules, VerdictRules
+from ssac.rules import DEFAULT_RULES, RetryRules, Rules, VerdictRules
 from ssac.track.clean import Clean
 from ssac.track.observation import Observation
 
@@ -193,15 +193,16 @@ def may_give_start(method: Method, found: Estimate) -> bool:
     return is_open and found.status in SETTLED_BY["start"] and np.isfinite(found.against_skew)
 
 
-def by_start(start: Answer, method: Method, rules: RetryRules) -> Answer:
+def by_start(start: Answer, method: Method, rules: Rules) -> Answer:
     """Return the answer that a method starts from, in place of the method's own refusal.
 
     A branch or another object that touches the outline spoils tangents, and moves the mean of the
     events a little, but by more than its deviations say. These are therefore widened.
     """
-    estimate = scaled(start.estimate, rules.start_widened)
+    times = rules.retry.start_widened
+    estimate = with_sure_offset(scaled(start.estimate, times), rules.verdict)
     estimate = replace(estimate, method=method.name, start=start.estimate)
-    why = f"the outline fits poorly, and deviations are {rules.start_widened:g} times as wide"
+    why = f"the outline fits poorly, and deviations are {times:g} times as wide"
     return replace(start, method=method, estimate=estimate, of_start=why)
 
 

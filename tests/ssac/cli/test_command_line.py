@@ -353,7 +353,6 @@ SIGNALS = [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 1
 def test_a_signal_is_one_line_amid_an_import_and_though_it_is_swallowed(
     body, said, number, word, code, tmp_path
 ):
-    """The user may interrupt in the first second, amid the imports."""
     (tmp_path / "slow.py").write_text(SLEEP.format(""))
     body = f"    sys.path.insert(0, {str(tmp_path)!r})\n{body}"
     process = guarded_process(body, stdout=subprocess.PIPE)

@@ -167,7 +167,7 @@ def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
 def test_values_that_mean_the_same_as_those_of_an_estimate_become_those(site, chain, tmp_path):
     """Bug: they were kept, and table, JSON and page were bugs of ours."""
     a_pose = "R=np.eye(3).tolist(), t=[0, 0, 1], F=np.eye(3, dtype=int).tolist()"
-    numbers = "np.float32(0.25), t_d_std_s=np.float32(0.125), n_samples=np.int64(5), d_avg_px=1"
+    numbers = "np.float32(0.25), t_d_std_s=np.float32(0.015625), n_samples=np.int64(5), d_avg_px=1"
     curve = "alternatives_s=[1, 2], candidates_s=[0.0, 0.25], costs=(3, np.float32(2))"
     returned = f'Estimate("mine", t_d_s={numbers}, {a_pose}, {curve})'
     source = "import numpy as np\n" + GOOD.replace('Estimate("mine", t_d_s=0.25)', returned)
@@ -176,7 +176,7 @@ def test_values_that_mean_the_same_as_those_of_an_estimate_become_those(site, ch
     assert_same(
         result.estimate,
         Estimate(
-            "mine", t_d_s=0.25, t_d_std_s=0.125, n_samples=5, d_avg_px=1.0,
+            "mine", t_d_s=0.25, t_d_std_s=0.015625, n_samples=5, d_avg_px=1.0,
             R=np.eye(3), t=np.array([0.0, 0.0, 1.0]), F=np.eye(3),
             alternatives_s=np.array([1.0, 2.0]), candidates_s=np.array([0.0, 0.25]),
             costs=np.array([3.0, 2.0]),

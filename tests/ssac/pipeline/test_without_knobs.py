@@ -24,6 +24,7 @@ from ssac.search.start import Start
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.ssac.cluttered import merged, noise
+from tests.ssac.methods import flights
 from tests.ssac.network.flights import CAMERA as OF_FLIGHTS
 from tests.ssac.network.flights import make_flight
 from tests.ssac.synthetic import (
@@ -116,6 +117,26 @@ def test_clocks_that_are_said_to_run_alike_are_given_no_rate_but_one_that_is_sea
     # The search ends at steps of 1 ms, 1e-4 of half the time; F makes up for two or three of them.
     assert 1.0 + 1e-6 * found.skew_ppm == pytest.approx(rate, abs=3e-4)
     assert dict(report_rows(found.answer))["clock skew"] == f"{found.skew_ppm:+.1f} ppm"
+
+
+def test_a_known_pose_tells_the_offset_of_tracks_that_all_offsets_leave_open():
+    """Bug: it was not looked at, and the advice was to give it."""
+    scene = make_scene(3, duration_s=4.0)
+    seen = *frame_tracks(scene, 0.3), scene.rig
+    assert ssac.sync(*seen).status == Status.AMBIGUOUS_OFFSET
+    check(ssac.sync(*seen, known_extrinsics=True), 0.3)
+
+
+def test_an_offset_of_a_straight_path_is_not_given_either_if_it_is_unsure():
+    """Bug: the limit was only that of refinements, before their deviations were widened."""
+    scene = replace(flights.scene_of(flights.straight), duration_s=10.0)
+    seen, verdict = (*frame_tracks(scene, 0.3), scene.unknown_rig), PLAIN.rules.verdict
+    found = ssac.sync(*seen)
+    assert found.status == Status.DEGENERATE_POSE
+    for times in (1.1, 0.9):
+        limited = replace(verdict, max_t_d_std_s=times * found.t_d_std_s)
+        again = ssac.sync(*seen, rules=replace(PLAIN.rules, verdict=limited))
+        assert (again.status == found.status) == again.has_offset == (times > 1.0)
 
 
 @pytest.mark.parametrize("size_s", [0.1, 0.3])
