@@ -118,10 +118,7 @@ def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
 
 @pytest.mark.render
 def test_a_terminated_simulation_leaves_nothing(tmp_path):
-    """It says so in one line, without a progress bar, and removes the files written until then.
-
-    `test_sweep.py` tests interrupts, by which a simulation ends in the same way.
-    """
+    """Interrupts, by which it ends in the same way, are tested in `test_sweep.py`."""
     command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
     ours = os.environ | {"PYTHONPATH": os.getcwd()}
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=ours)

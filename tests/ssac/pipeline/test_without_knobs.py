@@ -121,8 +121,7 @@ def test_clocks_that_are_said_to_run_alike_are_given_no_rate_but_one_that_is_sea
 
 def test_a_known_pose_tells_the_offset_of_tracks_that_all_offsets_leave_open():
     """Bug: it was not looked at, and the advice was to give it."""
-    scene = make_scene(3, duration_s=4.0)
-    seen = *frame_tracks(scene, 0.3), scene.rig
+    seen = *frame_tracks(scene := make_scene(3, duration_s=4.0), 0.3), scene.rig
     assert ssac.sync(*seen).status == Status.AMBIGUOUS_OFFSET
     check(ssac.sync(*seen, known_extrinsics=True), 0.3)
 
