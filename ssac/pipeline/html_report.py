@@ -21,7 +21,15 @@ from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.pair_charts import charts_of, sample_charts
-from ssac.pipeline.report import Rows, counts_of, how_it_runs, of_length, sight_deg, vector
+from ssac.pipeline.report import (
+    Rows,
+    counts_of,
+    how_it_runs,
+    numbered,
+    of_length,
+    sight_deg,
+    vector,
+)
 from ssac.pipeline.streams import Seen, as_recorded, scene_of_network, scene_of_two, streams
 from ssac.track.motion import ObjectMotion
 
@@ -61,11 +69,12 @@ def report_page(
             graph=None if network is None else _graph(answers, network),
             pairs=[
                 {
+                    "pair": (a, b),
                     "numbers": (a + 1, b + 1),
                     "estimate": answer.estimate,
                     "offset": _offset_words(answer.estimate),
                     "charts": charts_of(answer, most),
-                    "intrinsics": _intrinsics(answer),
+                    "intrinsics": _intrinsics(answer, (a + 1, b + 1)),
                 }
                 for (a, b), answer in answers.items()
             ],
@@ -91,6 +100,7 @@ def environment(*loaders: BaseLoader) -> Environment:
         lstrip_blocks=True,
     )
     made.filters["fixed"] = lambda value, digits: f"{round(value, digits) + 0.0:.{digits}f}"
+    made.filters["numbered"] = numbered
     made.globals["normal_95"] = NORMAL_95
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     return made
@@ -275,11 +285,11 @@ def _offset_words(estimate: Estimate) -> str:
     return f"{_time(estimate.t_d_s)}, 1 sigma {1e3 * estimate.t_d_std_s:.3f} ms"
 
 
-def _intrinsics(answer: Answer) -> list[tuple[int, str, float, float, float]]:
+def _intrinsics(answer: Answer, numbers: Pair) -> list[tuple[int, str, float, float, float]]:
     """List cameras, names and values of fitted intrinsics: the rig's, its deviation, the fitted."""
     Ks = () if answer.estimate.Ks is None else enumerate(answer.estimate.Ks)
     return [
-        (k + 1, name, float(answer.cameras[k].K[place]), std_px, float(K[place]))
+        (numbers[k], name, float(answer.cameras[k].K[place]), std_px, float(K[place]))
         for k, K in Ks
         for (name, place), std_px in zip(
             _NUMBERS.items(), answer.cameras[k].intrinsics_std_px, strict=True

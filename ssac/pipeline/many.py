@@ -1,6 +1,5 @@
 """Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -26,7 +25,7 @@ from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import Rows, html_of, plain, text_of, vector
+from ssac.pipeline.report import Rows, html_of, numbered, plain, text_of, vector
 from ssac.points import PointTrack
 from ssac.rules import Rules
 from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
@@ -358,15 +357,6 @@ def _write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -
     if not answer.paths:
         reasons = dict.fromkeys(camera.reason for camera in answer.cameras)
         log(f"not written: {file}, since {'; '.join(reasons)}")
-
-
-def numbered(said: str, pair: Pair) -> str:
-    """Give cameras 1 and 2, of which a pair says something, their numbers in the network."""
-
-    def of_network(one: re.Match[str]) -> str:
-        return f"camera {pair[int(one[1]) - 1] + 1}"
-
-    return re.sub(r"\bcamera ([12])\b", of_network, said)
 
 
 def short_names(names: Sequence[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """Reports of two cameras' answer, as text for people and as JSON for machines."""
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -287,6 +288,11 @@ def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
 def vector(values: Array, digits: int) -> str:
     """Write numbers (n,) in brackets."""
     return f"({', '.join(f'{value:.{digits}f}' for value in values + 0.0)})"
+
+
+def numbered(said: str, pair: tuple[int, int]) -> str:
+    """Give cameras 1 and 2, of which a pair says something, their numbers in the network."""
+    return re.sub(r"\b([Cc]amera) ([12])\b", lambda of: f"{of[1]} {pair[int(of[2]) - 1] + 1}", said)
 
 
 def plain(value: float | Array | None) -> Any:

@@ -13,10 +13,10 @@ from ssac.camera import Rig, with_deviations
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods import refinement, tangency
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.many import as_doubted, numbered, solve_pairs, write_many, write_two
+from ssac.pipeline.many import as_doubted, solve_pairs, write_many, write_two
 from ssac.pipeline.opened import NOTHING
 from ssac.pipeline.registry import METHODS
-from ssac.pipeline.report import report_rows
+from ssac.pipeline.report import numbered, report_rows
 from ssac.pipeline.retries import WAYS, by_several, is_settled_by, less_certain, other_clocks
 from ssac.rules import RetryRules, VerdictRules
 from ssac.search.all_offsets import Guess
