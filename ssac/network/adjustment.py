@@ -31,8 +31,8 @@ class Network:
     jerk: float  # root of its spectral density: unit / s^2.5
     distance: float
     rules: NetworkRules
-    # Sightings worth one independent one, as errors are correlated: some of which the path absorbs.
-    lasting: float = 1.0
+    repeats: float = 1.0  # sightings worth one independent one, as errors are correlated
+    lasting: float = 1.0  # the same, with the part of such errors that the path absorbs
     constraints: Mapping[Pair, Link] = field(default_factory=dict)  # by places of states
 
 
@@ -87,7 +87,7 @@ def known(network: Network) -> tuple[Array, Array]:
     # definition: these constraints are as firm as rounding allows.
     scale_std, held_stray_s = 1e-6, 1e-6
     # The sightings count in full, though errors are correlated: priors are sharpened instead.
-    sharper = 1.0 / np.sqrt(network.lasting)
+    sharper = 1.0 / np.sqrt(network.repeats)
     for k, (state, prior) in enumerate(zip(network.states, network.priors, strict=True)):
         at = int(offsets[k])
         values = [(layout.RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
@@ -266,6 +266,7 @@ def _weighed(network: Network, solved: Solved) -> Network:
         network,
         sigmas_px=np.maximum(sigmas, least),
         jerk=max(jerk, 1e-12),
+        repeats=mean,
         lasting=1.0 + (mean - 1.0) * _taken_up(network),
     )
 
