@@ -14,7 +14,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ssac.errors import PluginError, SsacError
@@ -29,6 +29,11 @@ INTERRUPTED = 128 + 2  # Ctrl-C, as shells count it: 128 and the signal's number
 TERMINATED = 128 + 15  # SIGTERM, which `kill`, `timeout` and job schedulers send
 ENDED = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 PIPE_CLOSED = 128 + 13  # the reader of our output stopped reading, as `head` does
+
+NO_KERNELS = (
+    "compiled code can be kept nowhere: the package's folder and your home cannot be written; set"
+    " NUMBA_CACHE_DIR to a folder of yours"
+)
 
 
 def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
@@ -53,6 +58,8 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     except faults_of_input as error:
         return fail(str(error), BAD_INPUT)
     except Exception as error:
+        if "no locator available" in str(error):  # Numba's words
+            return fail(NO_KERNELS, BAD_INPUT)
         raised = _signal_within(error)
         return fail(_bug_line(error), BUG) if raised is None else _ended(raised)
     return _ended(KeyboardInterrupt()) if code == INTERRUPTED else code
@@ -77,7 +84,8 @@ def _say(kind: str, message: object) -> None:
     """Print a message as one line on stderr, folded if stderr is a terminal."""
     line = f"{kind}: {' '.join(str(message).split())}"
     width = columns(sys.stderr, sys.maxsize)
-    print("\n".join(folded(line, width, len(kind) + 2)), file=sys.stderr)
+    with suppress(BrokenPipeError):  # its reader has gone: the exit code says the same
+        print("\n".join(folded(line, width, len(kind) + 2)), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -146,7 +154,7 @@ def _bug_line(error: Exception) -> str:
     try:
         path = Path(tempfile.mkdtemp(prefix="ssac-bug-")) / "traceback.txt"
         write_whole(path, "".join(lines))
-    except (OSError, UnicodeError) as unwritten:
+    except (OSError, UnicodeError, SsacError) as unwritten:
         where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
     else:
         where = f"please report it with the traceback in {path}"

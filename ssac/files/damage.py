@@ -8,10 +8,12 @@ they are sorted if the caller asks for it.
 
 import os
 import warnings
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numba
@@ -61,27 +63,33 @@ def brief(error: BaseException) -> str:
     return words if len(words) <= 200 else f"{words[:200]}..."
 
 
+_SILENCE = RLock()  # stderr is the whole process's: another thread would restore the silence
+
+
 @contextmanager
 def silenced() -> Iterator[None]:
     """Discard what compiled code writes to stderr in the block, as a panic prints its own lines."""
-    try:
-        kept = os.dup(2)
-    except OSError:  # there is no stderr
-        yield
-        return
-    try:
-        with suppress(OSError), open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+    with _SILENCE:
+        try:
+            kept = os.dup(2)
+        except OSError:  # there is no stderr
+            yield
+            return
+        try:
+            with suppress(OSError), open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def check_text(path: Path) -> None:
     """Raise SsacError if a file has a zero byte, which a text reader takes for the file's end."""
     with readable(path, "a readable file"), path.open("rb") as file:
         while block := file.read(1 << 22):
+            if file.tell() == len(block) and block.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+                raise SsacError(f"{path}: its text is UTF-16: save it as UTF-8")
             at = block.find(b"\0")
             if at >= 0:
                 raise SsacError(
@@ -124,10 +132,13 @@ class Reading:
 STRICT = Reading()
 
 
-def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
-    """Raise SsacError if there are signs of damage; only warn if `reading` allows damage."""
+def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> bool:
+    """Raise SsacError if there are signs of damage; only warn if `reading` allows damage.
+
+    Return whether there are any.
+    """
     if not signs:
-        return
+        return False
     found = "; ".join(signs)
     if not reading.allow_damaged:
         raise SsacError(
@@ -135,6 +146,7 @@ def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
             "with --allow-damaged"
         )
     warnings.warn(f"{path} is damaged, and what is left of it is read: {found}", stacklevel=3)
+    return True
 
 
 def count_repeated(is_same: Mask) -> int:

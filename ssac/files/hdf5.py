@@ -43,25 +43,27 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
                     f"{path}: CD/events must be a list of x, y, p, t, got the shape {cd.shape} of "
                     f"{cd.dtype}: convert it again"
                 )
-            refuse_damaged(path, _signs_of_loss(cd), reading)
+            has_lost = refuse_damaged(path, _signs_of_loss(cd), reading)
             events = _read_blocks(len(cd), cd.__getitem__, path)
         elif all(column is not None for column in columns.values()):
             check_lengths({field: column.shape for field, column in columns.items()}, str(path))
             # Of lost times the zeros show, and are left out; of lost coordinates they do not.
-            refuse_damaged(path, _signs_of_loss(columns["t"]), reading)
+            has_lost = refuse_damaged(path, _signs_of_loss(columns["t"]), reading)
             lost = [sign for field in "xyp" for sign in _signs_of_loss(columns[field])]
             if lost:
                 raise SsacError(f"{path}: is damaged: {'; '.join(lost)}: copy or record it again")
             events = _read_blocks(
                 len(columns["t"]), lambda block: {f: columns[f][block] for f in "txyp"}, path
             )
-            events["t"] += _offset_us(file, path)
         else:
             has = f"{sorted(file)[:5]}{' and more' if len(file) > 5 else ''}"
             raise SsacError(
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
                 f"CD/events; the file has {has}: convert it to one of these layouts"
             )
+        events = events[events["t"] != 0] if has_lost else events
+        if cd is None:
+            events["t"] += _offset_us(file, path)
     return checked_file(events, size_px, path, reading, "microseconds")
 
 

@@ -63,6 +63,8 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         )
     with readable(path, "a readable YAML file of a rig"), silenced():
         text = path.read_text(encoding="utf-8")
+        if "<<" in text or "!!merge" in text:
+            raise ValueError("merge keys, by which a few lines can stand for millions")
         if "!!opencv-matrix" in text:
             return _rig_from_opencv(path, text, cameras)
         return _rig_from_kalibr(path, yaml.safe_load(text), cameras)

@@ -29,7 +29,7 @@ def load_events_text(path: Path, reading: Reading) -> EventFile:
         width, height = (side_px(word, _SIZE, path) for word in first_line)
     elif len(first_line) not in (0, 4):
         raise SsacError(
-            f"{path}: the first line must be `t x y p` or `width height`, got "
+            f"{path}: the first line must be four numbers t x y p, or `width height`, got "
             f"{' '.join(first_line)[:60]!r}: convert the file"
         )
     events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
@@ -40,7 +40,7 @@ def load_events_csv(path: Path, reading: Reading) -> EventFile:
     """Read comma-separated events whose first line names the columns t, x, y and p."""
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):
-        name, _, size = word.strip().partition("@")
+        name, _, size = word.strip().strip('"').partition("@")
         columns.append("p" if name == "on" else name)
         if _is_whole_number(size):
             sizes[name] = side_px(size, _SIZE, path)

@@ -91,4 +91,4 @@ def _check_fields(path: Path, n_columns: int) -> None:
 
 
 def _names(line: str) -> list[str]:
-    return [word.strip().lower().lstrip("\ufeff") for word in line.split(",")]
+    return [word.strip().lower().lstrip("\ufeff").strip('"') for word in line.split(",")]

@@ -264,6 +264,7 @@ def test_a_command_says_its_own_code_though_its_output_is_closed(code, capsys, m
         (SsacError("a.h5: expected events,\n  got none"), "a.h5: expected events, got none"),
         (FileNotFoundError(2, "No such file", "a.h5"), "[Errno 2] No such file: 'a.h5'"),
         (UnicodeError("of another package"), "of another package"),
+        (RuntimeError("cannot cache 'f': no locator available for 'f.py'"), exits.NO_KERNELS),
     ],
 )
 def test_what_is_wrong_with_the_input_is_one_line(error, line, capsys):
@@ -328,6 +329,9 @@ def test_a_reader_that_stops_reading_is_no_crash():
     os.close(write)
     assert process.communicate() == (None, b"")
     assert process.returncode == exits.PIPE_CLOSED
+    process = guarded_process("    from ssac import load_rig\n    load_rig('none.yaml')")
+    process.stderr.close()
+    assert process.wait() == BAD_INPUT
 
 
 SLEEP = "import time\n{0}print('here', flush=True)\n{0}time.sleep(60)\n"

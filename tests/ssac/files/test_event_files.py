@@ -282,13 +282,13 @@ def _declared(file):
         file.create_dataset(f"events/{field}", (4_000_000_000,), np.int64, chunks=(1000,))
 
 
-def _lost_block(field):
+def _lost_block(field, first=1000):
     def change(file):
         values = file[f"events/{field}"][:]
         del file[f"events/{field}"]
         how = values.shape, values.dtype
         column = file.create_dataset(f"events/{field}", *how, chunks=(500,))
-        column[:1000], column[1500:] = values[:1000], values[1500:]
+        column[:first], column[first + 500 :] = values[:first], values[first + 500 :]
 
     return change
 
@@ -331,7 +331,7 @@ SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
         ("a.es", "hello there, world", r"not a complete \.es file"),
         ("a.aedat4", "hello there, world", r"not a complete \.aedat4 file"),
         ("a.txt", "346 260\n", "there are no events"),
-        ("a.txt", "hello\n", "the first line must be `t x y p` or `width height`"),
+        ("a.txt", "hello\n", "the first line must be four numbers t x y p, or `width"),
         ("a.txt", "0.1 1 2 1\n0.2 1", "every line must be t, x, y, p in whole"),
         ("a.txt", "0.1 1 2 1\n0.2 1.5 2 1\n", "every line must be t, x, y, p in whole"),
         ("a.txt", "0.1 1 2 1\n0.2 1 2 1 0.3 1 2 0\n", "every line .* 4 fields in line 2, saw 8"),
@@ -343,6 +343,7 @@ SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
         ("a.txt", "\u00b3 9\n0.1 1 2 1\n", "the first line must be"),
         ("a.txt", bytes(range(1, 256)), "not a text file"),
         ("a.txt", b"0.1 1 2 1\n" + 4096 * b"\0" + b"\n0.2 1 2 1\n", "byte 10 is zero"),
+        ("a.csv", "t,x,y,p\n1,2,3,1\n".encode("utf-16"), "its text is UTF-16: save it as UTF-8"),
         ("a.csv", "1,2,3,1\n", "the first line must name the columns t,x,y,p"),
         ("a.csv", "t,x,y,p\n0.1,2,3,1\n", "whole numbers, t in microseconds"),
         ("a.csv", "t,x@0,y,p\n1,2,3,1\n", "the sensor's size .* 1 to 65535 px, got '?0"),
@@ -373,6 +374,15 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SsacError, match=rf"{name.replace('.', '[.]')}: .*{message}"):
         load_events(path)
+
+
+def test_events_whose_times_are_lost_are_left_out_at_the_start_too(tmp_path):
+    save_events_h5(tmp_path / "a.h5", random_events(), WIDTH, HEIGHT)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        _lost_block("t", first=0)(file)
+    with pytest.warns(UserWarning, match="1 of 4 blocks of events/t are lost"):
+        found = load_events(tmp_path / "a.h5", Reading(allow_damaged=True))
+    np.testing.assert_array_equal(found.events, random_events()[500:])
 
 
 @pytest.mark.parametrize(

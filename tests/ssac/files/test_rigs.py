@@ -133,7 +133,8 @@ def test_unusable_kalibr_values_are_refused(tmp_path, camera, key, value, messag
 def test_what_is_no_rig_is_refused(tmp_path):
     no_camchain = "expected a Kalibr camchain with cam0 and"
     contents = dict.fromkeys((b"", b"hello", b"camera: {}", b"[1, 2]"), no_camchain)
-    contents |= dict.fromkeys((b"{:", b"\xff\xfe\x00"), "not a readable YAML file")
+    merged = b"a: &a {k: 1}\nb: {<<: *a}"  # seven such lines of nine each took minutes
+    contents |= dict.fromkeys((b"{:", b"\xff\xfe\x00", merged), "not a readable YAML file")
     with pytest.raises(SsacError, match=r"rig\.yaml: there is no such file"):
         load_rig(tmp_path / "rig.yaml")
     for content, message in contents.items():
