@@ -269,8 +269,8 @@ def published_means(
     if table is None or f"{start}_mean" not in table:
         return None
     by_angle = table.assign(variance=table[f"{start}_std"] ** 2).groupby("angle_deg")
-    # A flight counts once, as in `flight_means`.
-    standard_error = np.sqrt(by_angle["variance"].mean() / PUBLISHED_RUNS)
+    # A flight counts once, as in `flight_means`. The published deviations are over n, not n - 1.
+    standard_error = np.sqrt(by_angle["variance"].mean() / (PUBLISHED_RUNS - 1))
     means = by_angle[f"{start}_mean"].mean()
     return pd.DataFrame({"mean": means, "standard_error": standard_error})
 

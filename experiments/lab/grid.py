@@ -216,11 +216,20 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     return grid
 
 
+_DRAWN_PIXELS = (
+    "threshold_mismatch", "leak_hz", "shot_noise_hz", "background_hz", "hot_pixel_share",
+)  # fmt: skip
+_DRAWN_EFFECTS = (
+    "flicker_depth", "dim_noise_on_hz", "dim_noise_off_hz", "hot_clusters", "jitter_s",
+    "jitter_lux_s", "frame_phase_spread", "frame_read_noise", "frame_full_well_e",
+)  # fmt: skip
+
+
 def _is_drawn(sim: SimConfig) -> bool:
     """Whether flights of other seeds differ: by a random trajectory, or by a sensor's noise."""
-    pixels = sim.sensor
-    has_noise = pixels.threshold_mismatch > 0.0 or not pixels.is_ideal_in_time
-    return sim.trajectory_file is None or has_noise or not sim.effects.is_none
+    draws = [getattr(sim.sensor, name) for name in _DRAWN_PIXELS]
+    draws += [getattr(sim.effects, name) for name in _DRAWN_EFFECTS]
+    return sim.trajectory_file is None or any(draws)
 
 
 def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:

@@ -41,16 +41,18 @@ def plain(value: Any) -> Any:
 
 def code_commit() -> str:
     """Name the code's commit, `-dirty` when any file but results differs; "unknown" outside git."""
-    head = ["rev-parse", "--short=12", "HEAD"]
+    top, head = ["rev-parse", "--show-toplevel"], ["rev-parse", "--short=12", "HEAD"]
     status = ["status", "--porcelain", "--untracked-files=no", "--", ".", ":!results"]
     try:
-        commit, changed = (
+        folder, commit, changed = (
             subprocess.run(
                 ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
             ).stdout.strip()
-            for arguments in (head, status)
+            for arguments in (top, head, status)
         )
     except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    if Path(folder).resolve() != ROOT:  # of a project in whose environment this one is installed
         return "unknown"
     return f"{commit}-dirty" if changed else commit
 

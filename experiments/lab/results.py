@@ -98,8 +98,8 @@ class Results:
             raise SsacError(f"{self.folder / file} holds no provenance: {error}") from error
 
     def minutes(self, name: str) -> float:
-        """Return the wall time [min] of the command that wrote `<name>.csv`, by its provenance."""
-        return float(self.provenances(name)[0]["wall_time_s"]) / 60.0
+        """Return the wall time [min] of the commands that wrote `<name>.csv`, by its provenance."""
+        return sum(float(one["wall_time_s"]) for one in self.provenances(name)) / 60.0
 
     def _column(self, rows: Any, name: str, column: str) -> Any:
         if column not in rows:

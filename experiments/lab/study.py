@@ -330,12 +330,12 @@ def merge(
     for path, whole, one in zip(shards, wholes, provenances, strict=True):
         if whole != wholes[0]:
             raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
-        commit, first = one.get("commit"), provenances[0].get("commit")
-        if commit != first:
-            raise SsacError(
-                f"{path} is of the code {commit}, and {shards[0]} of {first}: run these shards with"
-                " the same code"
-            )
+        for what, name in (("code", "commit"), ("packages", "versions")):
+            if one.get(name) != provenances[0].get(name):
+                raise SsacError(
+                    f"{path} is of the {what} {one.get(name)}, and {shards[0]} of"
+                    f" {provenances[0].get(name)}: run these shards with the same {what}"
+                )
         header, rows = _numbered_lines(path)
         headers.append(header)
         if header != headers[0]:

@@ -103,7 +103,7 @@ def sweep_study(grid: GridConfig, runs_file: str, command: str, points: str = ""
         grid.name, grid.title, grid.cells, SCORED,
         Runs(runs_file, (*grid.varied, "flight", "method")),
         (made_of(f"{points}.csv", lambda table: points_table(table, grid.varied), runs),
-         made_of(figure, lambda table: points_figure(table, grid.varied, grid.figure), points)),
+         made_of(figure, lambda table: points_figure(table, grid), points)),
         config=config, command=command, shows=points,
         is_committed=False,
     )  # fmt: skip
@@ -131,16 +131,18 @@ def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
     return {"mean": mean, "low": mean - half, "high": mean + half, "median": values.median()}
 
 
-def points_figure(
-    points: pd.DataFrame, varied: Sequence[str], look: FigureConfig | None = None
-) -> Figure:
-    """Draw mean errors with intervals against `look`'s, or the first numeric, parameter."""
+def points_figure(points: pd.DataFrame, grid: GridConfig) -> Figure:
+    """Draw mean errors with intervals against the figure's, or the first numeric, parameter.
+
+    Parameters that move together with it make no lines of their own.
+    """
     drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
-    numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
+    numbers = [name for name in grid.varied if pd.api.types.is_numeric_dtype(points[name])]
     (first, *_) = numbers or ["method"]
-    look = look or FigureConfig(first, first)
+    look = grid.figure or FigureConfig(first, first)
     x = look.x
-    others = [name for name in (*varied, "method") if name != x]
+    along = {x, *(name for axis in grid.axes if x in axis[0] for name in axis[0])}
+    others = [name for name in (*grid.varied, "method") if name not in along]
     title = f"Mean errors; a bar is the interval of {LEVEL:.0%}"
     figure, (panel_of,) = panels(title, 3.8, columns=len(drawn))
     for axes, error in zip(panel_of, drawn, strict=True):

@@ -1,11 +1,8 @@
-"""The table of commands: each exists, and wrong input or a signal ends in one line."""
+"""The table of commands: each exists, and wrong input ends in one line."""
 
 import inspect
-import os
 import re
-import subprocess
 import sys
-import time
 from importlib import import_module
 from pathlib import Path
 
@@ -14,7 +11,6 @@ import pytest
 from experiments import cli
 from experiments.__main__ import main
 from sim.errors import SimError
-from ssac.cli.exits import TERMINATED
 from ssac.errors import SsacError
 from tests.experiments.command import run
 
@@ -114,19 +110,3 @@ def test_what_the_simulator_refuses_is_one_line(monkeypatch, capsys):
         main()
     assert end.value.code == 2
     assert re.fullmatch(r"error: \. is not empty, .*\n", capsys.readouterr().err)
-
-
-@pytest.mark.render
-def test_a_terminated_simulation_leaves_nothing(tmp_path):
-    """Interrupts, by which it ends in the same way, are tested in `test_sweep.py`."""
-    command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
-    ours = os.environ | {"PYTHONPATH": os.getcwd()}
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=ours)
-    while process.poll() is None and not list(tmp_path.glob("*/cam1.h5")):
-        time.sleep(0.1)
-    process.terminate()
-    shown = process.communicate(timeout=120)[1].splitlines(keepends=True)
-    # On a slow machine lines about the progress may come first.
-    assert [line for line in shown if not line.startswith("simulating: ")] == ["terminated\n"]
-    assert process.returncode == TERMINATED
-    assert list(tmp_path.iterdir()) == []

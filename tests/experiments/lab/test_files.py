@@ -62,3 +62,5 @@ def test_changed_code_makes_the_commit_dirty_and_results_do_not(tmp_path, monkey
     assert provenance.code_commit() == commit
     written(tmp_path, "code.py", "2")
     assert provenance.code_commit() == f"{commit}-dirty"
+    monkeypatch.setattr(provenance, "ROOT", tmp_path / "results")  # within another's repository
+    assert provenance.code_commit() == "unknown"

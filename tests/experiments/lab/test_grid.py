@@ -165,6 +165,7 @@ def test_parameters_are_checked_together_whatever_their_order(values):
         ({"together": {"c": {"sim": {"focal_px": [1, 2], "resolution": [[3, 4]]}}}},
          "together.c: expected lists of one length, but sim.focal_px has 2, sim.resolution"),
         ({"fixed": {"sim": {"trajectory_file": "a.csv"}}}, "flights must be 1 where sim.traject"),
+        ({"fixed": {"sim": {"trajectory_file": "a.csv", "effects": {"blur_px": 1}}}}, "must be 1"),
         ({"figure": {"x": "ssac.n_min", "label": ""}}, "'ssac.n_min' is not a parameter that the"),
         ({"figure": {"x": "sim.t_d_s", "label": 3}}, "figure: expected a table with x, label, sc"),
         ({"grid": {"sim": {"drone": ["bird"]}}, "figure": {"x": "sim.drone", "label": ""}},

@@ -34,8 +34,8 @@ sim.angle_deg = [30, 90]
 def runs() -> pd.DataFrame:
     """Return runs at two angles on four flights, of a method with poses and one without; 3 fail."""
     rows = [
-        {"sim.angle_deg": angle_deg, "flight": flight, "seed": 1, "method": method,
-         "status": "ok", "reason": "", "n_samples": 300 + flight,
+        {"sim.angle_deg": angle_deg, "sim.distance_m": angle_deg / 7.5, "flight": flight,
+         "seed": 1, "method": method, "status": "ok", "reason": "", "n_samples": 300 + flight,
          "t_d_error_ms": 1.0 + flight + angle_deg,
          "r_error_deg": 0.5 + flight if method == "ssac" else np.nan,
          "t_error_deg": 0.5 if method == "ssac" else np.nan}
@@ -74,7 +74,8 @@ def test_ablations_and_points_count_what_was_refused_and_how_runs_scatter() -> N
 
 @pytest.mark.parametrize("kind", [float, str])
 def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: type) -> None:
-    figure = points_figure(points_table(runs(), VARIED).astype({"sim.angle_deg": kind}), VARIED)
+    grid = grid_from_content("my", {"grid": {"sim": {"angle_deg": [30, 90]}}})
+    figure = points_figure(points_table(runs(), VARIED).astype({"sim.angle_deg": kind}), grid)
     assert len(figure.axes) == len(ERRORS)
     if kind is float:  # words are drawn over the methods
         assert [len(axes.containers) for axes in figure.axes] == [2, 2, 2]
@@ -83,11 +84,14 @@ def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: 
 
 def test_the_figure_of_ones_own_grid_has_the_axis_that_its_file_asks_for() -> None:
     look = {"x": "sim.angle_deg", "label": "angle [mrad]", "scale": 17.45, "log": True}
-    grid = grid_from_content("my", {"grid": {"sim": {"angle_deg": [30, 90]}}, "figure": look})
+    both = {"sim": {"angle_deg": [30, 90], "distance_m": [4.0, 12.0]}}
+    grid = grid_from_content("my", {"together": {"both": both}, "figure": look})
+    points = points_table(runs(), grid.varied)
     (draw,) = (one for one in sweep_study(grid, "my.csv", "").makes if one.file == "my.png")
-    figure = draw.make(Results(Path(), {"my_cells.csv": csv_text(points_table(runs(), VARIED))}))
+    figure = draw.make(Results(Path(), {"my_cells.csv": csv_text(points)}))
     assert len(figure.axes) == len(ERRORS)
     for axes in figure.axes:
+        assert len(axes.containers) == 2  # a line for each method
         assert (axes.get_xlabel(), axes.get_xscale()) == ("angle [mrad]", "log")
         for bars in axes.containers:
             assert list(bars.lines[0].get_xdata()) == pytest.approx([523.5, 1570.5])
