@@ -173,7 +173,8 @@ def _unsure(estimate: Estimate, rules: VerdictRules) -> Estimate:
         f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it; record longer, or a"
         " livelier flight"
     )
-    return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
+    without_pose = replace(estimate, unobservable=np.empty((0, 6)))
+    return refused(without_pose, Refusal(Status.AMBIGUOUS_OFFSET, reason))
 
 
 def _in_words(direction: Array, t: Array) -> str:

@@ -114,9 +114,7 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
     """Adjust all parameters without outliers; pairs enter last, so that wrong ones show."""
     network, by = built.network, built.network.rules
     states = [
-        with_strays(state, seen, by.piece_s, by.most_pieces)
-        if seen.has_frames and prior.roughness > 0.0
-        else state
+        with_strays(state, seen, by.piece_s, by.most_pieces) if prior.roughness > 0.0 else state
         for state, seen, prior in zip(network.states, network.cameras, network.priors, strict=True)
     ]
     network, _ = adjust(replace(network, states=states), by.rounds)

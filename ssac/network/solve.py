@@ -223,7 +223,7 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
 
 def _priors_of(seen: Sightings, config: Config, pose_is_known: bool) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
-    may_wander = config.clock != "affine" and config.prior_ppm > 0.0
+    may_wander = config.clock == "pieces" or (seen.has_frames and config.clock != "affine")
     std = np.array(seen.camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(seen.camera.K)[:2]
     return Priors(
@@ -231,7 +231,7 @@ def _priors_of(seen: Sightings, config: Config, pose_is_known: bool) -> Priors:
         readout_s=READOUT_STD_S if seen.has_frames and seen.camera.readout_s is None else 0.0,
         focal=(float(focal[0]), float(focal[1])),
         centre_px=(float(std[2]), float(std[3])),
-        roughness=PPM * config.roughness_ppm if may_wander else 0.0,
+        roughness=PPM * config.roughness_ppm if may_wander and config.prior_ppm else 0.0,
         pose_is_known=pose_is_known,
     )
 

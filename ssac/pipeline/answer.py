@@ -90,6 +90,8 @@ class Answer:
                     f" image of {camera.width} x {camera.height} px: if the image is not cropped,"
                     " the rig is of another camera or resolution, or in another order"
                 )
+        if not estimate.has_offset:
+            return tuple(said)
         if self.clock == "pieces":
             said.append(
                 "no one skew fits these tracks: a clock wanders, as those of phones do, and is"
@@ -100,8 +102,6 @@ class Answer:
                 "no skew of ordinary oscillators fits: camera 2's clock is taken to run at its own"
                 f" rate, with a prior deviation of {self.config.prior_ppm:g} ppm (--skew-prior)"
             )
-        if not estimate.has_offset:
-            return tuple(said)
         if self.misfit:
             said.append(
                 f"what is seen contradicts the rig: {self.misfit}; its intrinsics count as less"

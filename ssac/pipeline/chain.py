@@ -202,7 +202,9 @@ class Chain:
         if retries.may_give_start(method, answer.estimate):
             start = self._answered(choose_method(method.starts_from), places)
             if start.estimate.status == Status.OK:
-                return retries.by_start(start, method, self.config.rules)
+                given = retries.by_start(start, method, self.config.rules)
+                if given.estimate.has_offset:
+                    return given
         estimate = answer.estimate
         if estimate.status in SETTLED_BY["jump"]:
             config = self._resolved(*places)
@@ -470,8 +472,9 @@ class Chain:
         if refusal is None and lost:
             refusal = Refusal(
                 Status.SEVERAL_OBJECTS,
-                f"none of the {every[lost[0]].used.seen} things that {self.name(lost[0])} sees is"
-                " the one that the other cameras see: record one object, or mask the others",
+                f"none of the {every[lost[0]].used.seen} things that camera"
+                f" {places.index(lost[0]) + 1} sees is the one that the other cameras see: record"
+                " one object, or mask the others",
             )
         return two, refusal
 

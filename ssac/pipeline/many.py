@@ -278,7 +278,9 @@ def write_two(
         return
     scale, in_metres = distance_m or 1.0, distance_m is not None
     if trajectory is not None:
-        chain = Chain(answer.cleans, answer.rig, answer.config)
+        # Of a network's clocks more is asked than of a pair's: whether they wander is found out.
+        clock = "auto" if answer.config.clock == "affine" else answer.config.clock
+        chain = Chain(answer.cleans, answer.rig, replace(answer.config, clock=clock))
         found = solve_pairs(chain, {(0, 1): answer}, distance_m)
         found, ground = grounded(found, known, answer.config.rules)
         if ground is not None:

@@ -119,7 +119,11 @@ class Start:
             clock_covariance=None if of_clock is None else rate**2 * of_clock,
             strays_s=rate * estimate.strays_s,
             strays_std_s=rate * estimate.strays_std_s,
-            readouts_s=estimate.readouts_s * (1.0, rate),
+            readouts_s=np.where(
+                estimate.readouts_std_s == 0.0,  # stated, on its own clock
+                estimate.readouts_s,
+                estimate.readouts_s * (1.0, rate),
+            ),
             readouts_std_s=estimate.readouts_std_s * (1.0, rate),
             jump=jump,
             alternatives_s=offset_s(estimate.alternatives_s),

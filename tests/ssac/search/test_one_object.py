@@ -147,7 +147,7 @@ def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, m
     for method in ("joint", "ssac", "tangency"):
         found = chain.estimate(method, 0, 2)
         assert (found.method, found.status) == (method, Status.SEVERAL_OBJECTS)
-        assert "none of the 2 things that camera 3 sees" in found.reason
+        assert "none of the 2 things that camera 2 sees" in found.reason  # of the pair
         assert not found.has_offset
     # A method of the paper gets all events.
     assert chain.estimate("albl", 0, 2).status != Status.SEVERAL_OBJECTS
