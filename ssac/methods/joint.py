@@ -109,14 +109,13 @@ class _OfPositions(Refinement):
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
         parameters, rules = residuals.parameters, self.rules.joint
-        offset, rig = rules.bias_offset, self.views.rig
+        offset = rules.bias_offset
         if self.views.pose_is_known:
             seen = self.model.views(self.views, parameters)
             offset = max(offset, rules.known_bias_offset * seen.lasting_share(parameters.t_d_s))
-        bias = self.size_px, np.array([rules.bias_slope, rules.bias_slope, offset])
         # Distances are weighted by the inverse of the image's size, to which the bias is
         # proportional: so the weights cancel.
-        return smooth_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
+        return smooth_errors(residuals, self.size_px, offset, rules.bias_slope)
 
 
 def sharp_pairs(views: TwoViews, times_s: Array, t_d_s: float) -> tuple[WeighedPairs, float]:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ssac.arrays import Array
-from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import (
     Allowance,
@@ -174,18 +173,17 @@ class Refinement(ABC):
         )
 
 
-def smooth_errors(
-    F: Array, p1_px: Array, p2_px: Array, size_px: float, bias: Array, rig: Rig
-) -> Array:
+def smooth_errors(residuals: Residuals, size_px: float, offset: float, slope: float) -> Array:
     """Return the changes (n, 12) of the distances by a deviation of each part of both views' bias.
 
     The point of the object that positions show moves smoothly with the image position. A change of
-    pose can compensate for this, so that no residual shows it. Deviations `bias` (3,) are shares of
-    the object's size: per unit of x / z and of y / z, and constant. Distances are not weighted.
+    pose can compensate for this, so that no residual shows it. The deviations, in sizes of the
+    object, are `slope` per unit of x / z and of y / z, and `offset`. Distances are not weighted.
     """
+    F, p1_px, p2_px, rig = residuals.F, residuals.p1_px, residuals.p2_px, residuals.problem.rig
     parts = []
     for F_there, there, here, K in ((F.T, p2_px, p1_px, rig.cam1.K), (F, p1_px, p2_px, rig.cam2.K)):
-        shifts = size_px * rays_of(K, here) * bias
+        shifts = size_px * rays_of(K, here) * (slope, slope, offset)
         for axis in np.eye(2):
             along = np.tile(axis, (len(here), 1))
             by_shift = sampson_derivative(F_there, there, here, along)

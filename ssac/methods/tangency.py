@@ -352,7 +352,9 @@ class _OfTangents(Refinement):
             self.allowance.learn(problem, last.found.parameters)
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Return the residuals' changes by lasting errors: (n, 1 or 2), 13 more with a body.
+        """Return the residuals' changes by lasting errors: (n, 2) with a known pose, else (n, 13).
+
+        With a body they are (n, 13) more, and (n, 1) of the outlines with a free pose.
 
         With a free pose, outlines are off by the same number of pixels in both views, as seen by
         similar sensors. The angles of the planes then differ between a near and a far view, and as
@@ -373,6 +375,9 @@ class _OfTangents(Refinement):
             outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # change of distance per px
             wide_px = rules.hidden_width * robust_deviation(residuals.distances_px[~of_body])
             errors = wide_px * outward[:, None] * (of_side[:, :1] - of_side[:, 1:])
+            if pairs.kinds is None:
+                bias = rules.outline_offset, rules.outline_slope
+                errors = np.hstack([errors, smooth_errors(residuals, self.size_px, *bias)])
         if pairs.kinds is not None:
             errors = np.hstack([errors, of_body[:, None] * self._of_body(residuals)])
         return np.asarray(pairs.weights[:, None] * errors)
@@ -380,9 +385,8 @@ class _OfTangents(Refinement):
     def _of_body(self, residuals: Residuals) -> Array:
         """Return the changes (n, 13) by errors of the body's shape and of its images' times."""
         rules, v2 = self.rules.tangency, residuals.problem.pairs.v2_px_s
-        bias = np.array([rules.body_slope, rules.body_slope, rules.body_offset])
         points = residuals.F, residuals.p1_px, residuals.p2_px
-        errors = smooth_errors(*points, self.size_px, bias, self.views.rig)
+        errors = smooth_errors(residuals, self.size_px, rules.body_offset, rules.body_slope)
         ahead = rules.body_lag_px * v2 / (np.linalg.norm(v2, axis=1)[:, None] + 1e-9)
         return np.column_stack([errors, sampson_derivative(*points, ahead)])
 

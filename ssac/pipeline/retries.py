@@ -230,7 +230,7 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
     if is_slight:
         slight = rules.slight_focal, rules.slight_centre_px
         yield _known_to(rig, *slight), rules.max_against_careless[0]
-    elif is_in_doubt:
+    if is_slight or is_in_doubt:
         for times, most in zip(rules.times_careless, rules.max_against_careless, strict=True):
             yield (
                 _known_to(rig, times * rules.careless_focal, times * rules.careless_centre_px),

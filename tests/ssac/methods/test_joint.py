@@ -2,6 +2,7 @@
 
 from dataclasses import astuple, replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -97,8 +98,9 @@ def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
     points = np.array(track_pair(scene, np.linspace(0.5, 19.5, 50)))
     K1, K2 = scene.rig.cam1.K, scene.rig.cam2.K
     F = fundamental_from_pose(K1, K2, scene.R, scene.t)
-    size_px, bias, step = 8.0, np.array([0.04, 0.03, 0.01]), 1e-5
-    found = smooth_errors(F, *points, size_px, bias, scene.rig)
+    size_px, bias, step = 8.0, (0.04, 0.04, 0.01), 1e-5
+    seen = SimpleNamespace(F=F, p1_px=points[0], p2_px=points[1], problem=scene)
+    found = smooth_errors(seen, size_px, bias[2], bias[0])
     rays = np.column_stack([points[view], np.ones(50)]) @ np.linalg.inv((K1, K2)[view]).T
     for axis in range(2):
         shift = np.zeros_like(points)

@@ -284,8 +284,8 @@ def test_a_doubt_that_no_single_parameter_explains_is_none_the_less_real(events,
         (Status.OK, 3.9, "exact", 0),
         (Status.OK, 4.1, "exact", 3),
         (Status.OK, 1.2, False, 0),
-        (Status.OK, 1.3, False, 1),
-        (Status.OK, 2.0, False, 1),
+        (Status.OK, 1.3, False, 4),
+        (Status.OK, 2.0, False, 4),
         (Status.OK, 2.1, False, 3),
         (Status.OK, 3.9, True, 0),
         (Status.POOR_FIT, 4.1, True, 3),
@@ -309,7 +309,7 @@ def test_a_rig_in_doubt_is_tried_as_less_and_less_certain(status, against, state
     too_fast = replace(found, against_skew=np.inf)  # of a clock that was to have no skew
     assert not list(less_certain(rig, too_fast, VerdictRules()))
     if n:  # at least the deviations of a careless calibration, or of a fair one
-        least_px = [2.0, 2.0, 3.0, 3.0] if n == 1 else [6.0, 6.0, 10.0, 10.0]
+        least_px = [2.0, 2.0, 3.0, 3.0] if n == 4 else [6.0, 6.0, 10.0, 10.0]
         assert np.all(np.array(stds_px[1][1]) >= least_px)
 
 
