@@ -92,18 +92,21 @@ def known(network: Network) -> tuple[Array, Array]:
         at = int(offsets[k])
         values = [(layout.RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
         values += [(layout.READOUT, prior.readout_s, state.readout_s)]
+        both_err = min(prior.focal) > 0.0
         for i in range(2):
-            values += [(layout.FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
+            if not (i and both_err):
+                values += [(layout.FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
             values += [(layout.CENTRE.start + i, prior.centre_px[i], float(state.centre_px[i]))]
         for place, deviation, value in values:
             if deviation > 0.0:
                 deviation *= sharper
                 add([at + place], [1.0 / deviation], -value / deviation)
-        if min(prior.focal) > 0.0:
-            deviation = rules.aspect_share * sharper * min(prior.focal)
+        if both_err:  # fv, given fu
+            correlation = 1.0 - 0.5 * rules.aspect_share**2
+            beside = np.array([-correlation, 1.0]) / np.sqrt(1.0 - correlation**2)
+            beside /= sharper * np.array(prior.focal)
             places = at + np.arange(layout.FOCAL.start, layout.FOCAL.stop)
-            off = float(state.focal[0] - state.focal[1])
-            add(places, [1.0 / deviation, -1.0 / deviation], -off / deviation)
+            add(places, beside, -float(beside @ state.focal))
         n = len(state.strays_s)
         if n:
             places = at + layout.STRAYS + np.arange(n)

@@ -29,6 +29,9 @@ _SIZE = 7  # offset, turn, direction, skew
 _STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
 """Steps of numerical derivatives of nearly linear functions, by place of a camera's parameter."""
 
+_EXACT_PPM = 1e-3
+"""Least deviation of a skew, of one that is exact too: clocks that run alike."""
+
 _LATE_S = 2e3
 """Time from which on those of clocks grow with it: the last digits of times since 1970, some
 0.2 us, would hide a step of the rate."""
@@ -128,11 +131,11 @@ def factor_of(estimate: Estimate) -> Array | None:
     known = estimate.covariance
     if estimate.status != Status.OK or known is None or estimate.R is None:
         return None
-    if not (np.isfinite(estimate.t_ref_s) and estimate.skew_std_ppm > 0.0):
+    if not (np.isfinite(estimate.t_ref_s) and estimate.skew_std_ppm >= 0.0):
         return None
     covariance = np.zeros((_SIZE, _SIZE))
     covariance[:-1, :-1] = known
-    covariance[-1, -1] = (PPM * estimate.skew_std_ppm) ** 2
+    covariance[-1, -1] = (PPM * max(estimate.skew_std_ppm, _EXACT_PPM)) ** 2
     deviations = np.sqrt(np.diag(covariance))
     try:  # scaled, as seconds and radians are of very different size
         factor = np.linalg.cholesky(covariance / np.outer(deviations, deviations))
@@ -144,10 +147,14 @@ def factor_of(estimate: Estimate) -> Array | None:
 def agreeing(
     links: Mapping[Pair, Link], members: list[int], states: list[CameraState], rules: NetworkRules
 ) -> dict[Pair, Link]:
-    """Return the links with a factor that nearly agree with the states, by places of these."""
+    """Return the links with a factor that nearly agree with the states, by places of these.
+
+    A link tells an affine clock: it agrees with none that strays.
+    """
     found, places = dict[Pair, Link](), {k: place for place, k in enumerate(members)}
+    strays = {k for k, place in places.items() if len(states[place].knots_s)}
     for (a, b), link in links.items():
-        if link.factor is not None and a in places and b in places:
+        if link.factor is not None and a in places and b in places and not strays & {a, b}:
             off = link.off(states[places[a]], states[places[b]])
             t = _between(states[places[a]], states[places[b]])[1]
             cosine = min(1.0, float(t @ np.asarray(link.t)))  # off has the sine, also of 179 deg

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array, IntArray, Mask
-from ssac.camera import Camera, undistort_points
+from ssac.camera import Camera, distort_points, undistort_points
+from ssac.fit.intrinsics import moves_of
 from ssac.rules import PointRules
 from ssac.search.object_track import ShapedTrack
 from ssac.track.motion import PointMotion, point_motion
@@ -196,9 +197,9 @@ def projected(
     by_camera[:, :, READOUT] = by_time * seen.rows[:, None]
     by_camera[:, :, ROTATION] = np.cross(by_local, turned[:, None, :], axis=2) * -1.0
     by_camera[:, :, TRANSLATION] = by_local
-    by_camera[:, 0, FOCAL.start] = K[0, 0] * x[:, 0]
-    by_camera[:, 1, FOCAL.start + 1] = K[1, 1] * x[:, 1]
-    by_camera[:, 0, CENTRE.start] = by_camera[:, 1, CENTRE.start + 1] = 1.0
+    away = -moves_of(seen.camera, np.diag(K)[:2] * x + K[:2, 2])
+    by_camera[:, :, FOCAL] = np.moveaxis(away[:2], 0, 2)
+    by_camera[:, :, CENTRE] = np.moveaxis(away[2:], 0, 2) / np.diag(K)[:2]
     # Below about 1 px/s in the image there is no direction in which events could lag.
     speeds = np.sqrt(np.sum(by_time**2, axis=1) + 1.0)
     by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # the change of direction is negligible
@@ -211,8 +212,21 @@ def projected(
         by_camera[:, :, STRAYS + 1] = -by_time * share[:, None]
         columns[:, STRAYS], columns[:, STRAYS + 1] = STRAYS + piece, STRAYS + piece + 1
     behind_px = state.behind_px * by_camera[:, :, BEHIND]
-    points_px = lengths_px * x + K[:2, 2] + state.centre_px + behind_px
+    points_px = _seen_px(state, seen.camera, x) + behind_px
     return points_px, in_front, by_point, by_camera, columns.astype(np.int64)
+
+
+def _seen_px(state: CameraState, camera: Camera, x: Array) -> Array:
+    """Give what rays x (n, 2) seen with a state's intrinsics are by the rig's, undistorted [px]."""
+    lengths_px, centre_px = np.diag(camera.K)[:2], camera.K[:2, 2]
+    if camera.distortion_model == "none":
+        return np.asarray(lengths_px * (1.0 + state.focal) * x + centre_px + state.centre_px)
+    ideal_px = lengths_px * x + centre_px
+    if not (state.focal.any() or state.centre_px.any()):
+        return np.asarray(ideal_px)
+    away_px = distort_points(camera, ideal_px) - centre_px
+    seen_px = undistort_points(camera, away_px * (1.0 + state.focal) + centre_px + state.centre_px)
+    return np.where(np.isfinite(seen_px), seen_px, ideal_px)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,12 @@ from ssac.track.observation import Observation
 
 Log = Callable[[str], None]
 
+NO_READOUT = (
+    "the rig states no readout_s, so shutters are taken for global ones; rolling ones shift the"
+    " offset by up to their readout, beyond its deviation: state it in the rig, or, of two cameras,"
+    " estimate it with --estimate-readout"
+)
+
 
 def quiet(line: str) -> None:
     """Log nothing."""
@@ -134,11 +140,7 @@ class Answer:
             and not camera.readout_std_s
             for camera, seen in zip(self.cameras, self.cleans, strict=True)
         ):
-            said.append(
-                "the rig states no readout_s, so shutters are taken for global ones; rolling ones"
-                " shift the offset by up to their readout, beyond its deviation: state it in the"
-                " rig, or, of two cameras, estimate it with --estimate-readout"
-            )
+            said.append(NO_READOUT)
         return tuple(said)
 
     @property

@@ -22,7 +22,7 @@ from ssac.network.ground import Ground, PlacesError, ground_of_positions, ground
 from ssac.network.solve import CameraAnswer, NetworkAnswer, link_of, rounded_by, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
-from ssac.pipeline.answer import Answer, Log, Stopwatch
+from ssac.pipeline.answer import NO_READOUT, Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.pipeline.report import Rows, html_of, numbered, plain, text_of, vector
@@ -88,6 +88,10 @@ class NetworkResult:
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
+                if note == NO_READOUT and all(
+                    answer.cameras[k].readout_std_s > 0.0 for k in (a, b)
+                ):
+                    continue  # the network estimates it
                 notes.setdefault(numbered(note, (a, b)), []).append(f"{a + 1}-{b + 1}")
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():
@@ -278,9 +282,7 @@ def write_two(
         return
     scale, in_metres = distance_m or 1.0, distance_m is not None
     if trajectory is not None:
-        # Of a network's clocks more is asked than of a pair's: whether they wander is found out.
-        clock = "auto" if answer.config.clock == "affine" else answer.config.clock
-        chain = Chain(answer.cleans, answer.rig, replace(answer.config, clock=clock))
+        chain = Chain(answer.cleans, answer.rig, answer.config)
         found = solve_pairs(chain, {(0, 1): answer}, distance_m)
         found, ground = grounded(found, known, answer.config.rules)
         if ground is not None:
@@ -391,6 +393,7 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     has_frames = clean.has_track and not clean.n_followed
+    camera = camera if has_frames else replace(camera, readout_s=None)  # events have no rows
     return sightings(shaped, camera, name, has_frames, rules)
 
 
@@ -451,14 +454,17 @@ def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     used = f"{camera.n_samples} of {camera.n_seen} sightings used, {camera.rms_px:.2f} px"
     turned = f"turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}"
     placed = f"at {stands}{unit}, {turned}; {used}"
+    readout = f"rows read out in {1e3 * camera.readout_s:.2f} ms, "
+    readout += f"1 sigma {1e3 * camera.readout_std_s:.2f} ms"
+    own = [("", readout)] if camera.readout_std_s > 0.0 else []
     if not camera.t_d_std_s > 0.0:
         in_own_frame = np.allclose(camera.t, 0.0) and camera.r_std_deg == 0.0  # rounding apart
         rows = [(camera.name, f"the first of group {camera.group}")]
-        return [*rows, ("", used if in_own_frame else placed)]
+        return [*rows, ("", used if in_own_frame else placed), *own]
     offset = f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms"
     skew = f"skew {camera.skew_ppm:+.1f} ppm, 1 sigma {camera.skew_std_ppm:.1f}"
     rows = [(camera.name, f"{offset}, at {camera.t_ref_s:.2f} s; {skew}")]
     if len(camera.knots_s):
         then_ms = 1e3 * camera.clock.stray_at_ref_s
         rows.append(("", f"for a straight line, from which it strays by {then_ms:+.2f} ms then"))
-    return [*rows, ("", placed)]
+    return [*rows, ("", placed), *own]

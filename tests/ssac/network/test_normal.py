@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from ssac.camera import distort_points, undistort_points
 from ssac.network.adjustment import repeats_in_blocks, repeats_of
 from ssac.network.normal import ORDER, Linear, Normal, Spline, jerks, knots_for, products, solve
 from ssac.network.state import CameraState, network_times, projected, with_strays
 from tests.ssac.network.flights import RULES, make_flight
+from tests.ssac.synthetic import project
 
 RNG = np.random.default_rng(0)
 ANYWHERE, PIECES = RNG.integers(0, 9, 80), np.repeat(np.arange(357), 2)
@@ -76,6 +78,31 @@ def test_derivatives_are_those_of_differences() -> None:
         ours = np.sum(np.where(columns == place, 1.0, 0.0)[:, None] * by_camera, axis=2)
         scale = np.abs(difference).max() + 1.0
         assert ours == pytest.approx(difference, abs=1e-5 * scale)  # the differences' own error
+
+
+def test_other_intrinsics_show_a_ray_through_the_lens_where_the_rig_undistorts_it() -> None:
+    flight = make_flight(2)
+    lens = {"distortion_model": "equidistant", "distortion_coeffs": (0.01, 0.0, 0.0, 0.0)}
+    rig_s = replace(flight.seen[1].camera, **lens)
+    state = CameraState(0.0, 0.0, 0.0, 0.0, *flight.poses[1])
+    state = replace(state, focal=np.array([0.01, -0.02]), centre_px=np.array([3.0, -5.0]))
+    K = rig_s.K.copy()
+    K[[0, 1], [0, 1]] *= 1.0 + state.focal
+    K[:2, 2] += state.centre_px
+    points = flight.path(np.linspace(1.0, 15.0, len(flight.seen[1])))
+    seen_px = distort_points(replace(rig_s, K=K), project(points @ state.R.T + state.t, K))
+    seen = replace(flight.seen[1], camera=rig_s, points_px=undistort_points(rig_s, seen_px))
+    found_px, _, _, by_camera, _ = projected(state, seen, points, np.ones_like(points))
+    assert found_px == pytest.approx(seen.points_px, abs=1e-6)  # of undistorting
+    for place in range(9, 13):
+        step = 1e-6 * np.eye(state.size)[place]
+        more, less = (
+            projected(state.moved(one), seen, points, np.ones_like(points))[0]
+            for one in (step, -step)
+        )
+        slope = (more - less) / 2e-6
+        # The derivative is that of the rig's intrinsics, from which these are up to 2 % off.
+        assert by_camera[:, :, place] == pytest.approx(slope, abs=0.03 * np.abs(slope).max())
 
 
 def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:

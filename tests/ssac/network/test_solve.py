@@ -12,9 +12,10 @@ from ssac import Estimate, PointTrack, Status
 from ssac.network import build
 from ssac.network.adjustment import border_offsets, known
 from ssac.network.align import Similarity
-from ssac.network.graph import factor_of, shared_by
+from ssac.network.graph import agreeing, factor_of, shared_by
 from ssac.network.ground import Ground, in_frame
 from ssac.network.solve import NetworkAnswer, answer_of, path_at, rounded_by
+from ssac.network.state import with_strays
 from ssac.rules import BodyRules
 from ssac.track.moments import View, image_by_place, perspective_shifts
 from tests.ssac.network.flights import CAMERA, PLAIN, Flight, make_flight, seen_by
@@ -339,6 +340,25 @@ def test_a_pair_tells_the_same_on_clocks_that_count_from_1970(sure) -> None:
             np.testing.assert_allclose(by_then, by, rtol=1e-3, atol=1e-3 * np.abs(by).max())
 
 
+def test_a_pair_tells_nothing_of_a_clock_that_strays(sure) -> None:
+    network = sure[1].built[0].network
+    states = list(network.states)
+    states[1] = with_strays(states[1], network.cameras[1], 4.0, 10)
+    places = list(range(len(states)))
+    links = {pair: true_pair(sure[0], *pair) for pair in network.constraints}
+    assert list(agreeing(links, places, states, network.rules)) == [(0, 2)]
+
+
+def test_focal_lengths_count_as_the_rig_states_and_err_nearly_alike(sure) -> None:
+    network = replace(sure[1].built[0].network, constraints={})
+    priors = [replace(prior, focal=(0.01, 0.02)) for prior in network.priors]
+    rows, _ = known(replace(network, priors=priors, repeats=1.0))
+    at = border_offsets(network)[1] + np.arange(9, 11)
+    covariance = np.linalg.inv(rows[:, at].T @ rows[:, at])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.01, 0.02])
+    assert covariance[0, 1] == pytest.approx(0.98 * 0.01 * 0.02)
+
+
 @pytest.mark.parametrize(("turn_rad", "sign"), [(0.2, 1.0), (0.0, -1.0)])
 def test_a_pair_that_the_sightings_contradict_is_left_out(turn_rad, sign) -> None:
     flight = make_flight(3)
@@ -357,7 +377,8 @@ def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
         skew_ppm=3.0, skew_std_ppm=4.0, covariance=np.diag(DEVIATIONS[:6] ** 2),
     )  # fmt: skip
     assert np.diag(factor_of(whole)) == pytest.approx([*DEVIATIONS[:6], 4e-6])
-    for missing in ({"covariance": None}, {"skew_std_ppm": 0.0}, {"status": "poor_fit"}):
+    assert factor_of(replace(whole, skew_std_ppm=0.0)) is not None  # clocks that run alike
+    for missing in ({"covariance": None}, {"skew_std_ppm": np.nan}, {"status": "poor_fit"}):
         assert factor_of(replace(whole, **missing)) is None
 
 

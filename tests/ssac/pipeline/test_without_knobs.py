@@ -249,6 +249,14 @@ def test_a_network_doubts_the_camera_that_all_contradicted_pairs_share(pairs, do
     assert all(as_doubted(k, CAMERA, answers) is CAMERA for k in range(4))  # few of their pairs
 
 
+def test_the_path_of_events_has_no_rows_whatever_the_rig_says(events, tmp_path):
+    paths = [tmp_path / "global.csv", tmp_path / "rolling.csv"]
+    for path, readout_s in zip(paths, (None, 0.02), strict=True):
+        result = ssac.sync(*events, [replace(UNSTATED, readout_s=readout_s)] * 2)
+        write_two(result.answer, NOTHING, path, None, str)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
 def test_a_rig_that_is_far_off_still_gives_an_offset(events):
     result = ssac.sync(*events, [longer(0.6), UNSTATED])
     check(result, status=Status.DEGENERATE_POSE)
