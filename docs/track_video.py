@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/track_video.py VIDEO.mp4 cam1.csv
 
-A starting point: any detector or tracker will do that writes the same four columns. It takes what
+A starting point: any detector or tracker will do that writes the same columns. It takes what
 differs from the background for moving, and of that the largest connected region in each frame; its
 centre is the position. Frame k is taken to be at k / fps seconds of the camera's clock, so a video
 of a variable frame rate needs its real time stamps instead.
@@ -31,9 +31,15 @@ def main() -> None:
     parser.add_argument("--fps", type=float, help="frames per second, where the file is wrong")
     arguments = parser.parse_args()
     sys.path.insert(0, str(ROOT))  # the packages of this tree, wherever it is run from
+    from ssac.errors import SsacError
     from ssac.files.track_files import save_track
+    from ssac.files.whole_file import check_targets
     from ssac.points import PointTrack
 
+    try:
+        check_targets([arguments.track], [arguments.video])
+    except SsacError as error:
+        parser.error(str(error))
     times_s, points_px = followed(arguments.video, arguments.min_area, arguments.fps)
     if len(times_s) == 0:
         parser.error(f"{arguments.video}: nothing moves in it, or it is no video that can be read")

@@ -25,7 +25,7 @@ from experiments.studies.ablations import ABLATIONS, sweep_study
 from ssac.cli.options import argument, flag, named, number
 from ssac.errors import SsacError
 from ssac.files.ros_bags import bag_of
-from ssac.files.whole_file import check_writable
+from ssac.files.whole_file import check_targets, check_writable
 
 N_RECORDINGS = 6  # by default the number of recordings that `ssac verify` draws
 
@@ -103,6 +103,8 @@ def merge_command(
     The files that are made from the runs are written beside them.
     """
     _check_table(out)
+    if out.exists():
+        check_targets([out], shards)
 
     def study_of(config: Mapping[str, Any]) -> Study:
         if "name" in config:  # a grid of the user's

@@ -43,7 +43,7 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
     disorder = disorder_of(times_s, of_sensor=True)
     if disorder:
         raise SsacError(f"{name}: {disorder}")
-    longest_s = 100.0  # between points: longer than in any track of an object
+    longest_s = 5.0  # between points: longer than in any track of an object
     if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > longest_s:
         raise SsacError(
             f"{name}: the times are whole numbers up to {times_s[-1]:.0f}, as of microseconds or "

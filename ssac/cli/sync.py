@@ -227,8 +227,10 @@ def sync_command(
             known=known if has_more else type(known)(known.distance_m),
             log=log,
         )
-        typer.echo(result.summary())
-        write_outputs(result, outputs, files[1], reading, known, log)
+        try:
+            typer.echo(result.summary())
+        finally:  # nobody may read it, and the files are asked for
+            write_outputs(result, outputs, files[1], reading, known, log)
         if given.open_report:
             webbrowser.open(given.report.resolve().as_uri())
     if result.status != "ok":

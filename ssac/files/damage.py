@@ -174,7 +174,7 @@ def checked_file(
     events = within(_in_order(events, path, reading, is_text), size_px, str(path), reading)
     check_events(events, *size_px, name=str(path))
     if unit:
-        _note_unit(events, path, unit)
+        note_unit(events, str(path), unit)
     return EventFile(events, *size_px)
 
 
@@ -249,7 +249,8 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     return events
 
 
-def _note_unit(events: Events, path: Path, unit: str) -> None:
+def note_unit(events: Events, name: str, unit: str) -> None:
+    """Warn where times, taken to be in `unit`, look as if they were in another one."""
     n, span_s = len(events), float(np.ptp(events["t"])) / US_PER_S
     said = ""
     if span_s > LONGEST_S and n < _LEAST_HZ * span_s:
@@ -259,7 +260,7 @@ def _note_unit(events: Events, path: Path, unit: str) -> None:
         said = "milliseconds, multiply it by 1000"
     if said:
         warnings.warn(
-            f"{path}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
+            f"{name}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
             f" {said}",
             stacklevel=5,
         )

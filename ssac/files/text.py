@@ -44,6 +44,8 @@ def load_events_csv(path: Path, reading: Reading) -> EventFile:
         columns.append("p" if name == "on" else name)
         if _is_whole_number(size):
             sizes[name] = side_px(size, _SIZE, path)
+    if {"t_s", "x_px", "y_px"} <= set(columns):
+        raise SsacError(f"{path}: is a track of points, not events: load_track reads it")
     if not set("txyp") <= set(columns):
         raise SsacError(
             f"{path}: the first line must name the columns t,x,y,p (t in microseconds) of events, "

@@ -29,6 +29,8 @@ LEFT_OVER_S = 86_400.0
 
 _MADE = re.compile(r"\..*\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]{32}\.[a-z]+", re.S)
 
+_OPEN = re.compile("/proc/|/dev/(fd/|std)")
+
 _NAME_LENGTH = 32  # characters kept, of up to 4 bytes each: file names have at most 255 bytes
 
 
@@ -106,7 +108,8 @@ def _target(path: Path) -> Path:
     target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.is_dir():
         raise WriteError(f"{path}: is a folder: name a file to write")
-    if (path.exists() and not path.is_file()) or target.is_symlink():  # a link that leads to itself
+    is_open = _OPEN.match(str(path.absolute()))  # /dev/stdout may lead to a file that others write
+    if is_open or (path.exists() and not path.is_file()) or target.is_symlink():  # to itself
         raise WriteError(
             f"{path}: expected a regular file or a new name, got a device, a pipe, a socket or a "
             "link that leads to itself: name a file to write"

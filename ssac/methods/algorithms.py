@@ -231,10 +231,12 @@ def algorithm_2(views: TwoViews) -> Estimate:
     p1, p2 = pairs.points_px
     refusal = too_little_motion(views.swings(pairs), config.min_swings)
     if len(pairs) < rules.min_pairs_of_pose:
+        is_asked = config.n_samples < rules.min_pairs_of_pose
+        remedy = "take more (--n-samples)" if is_asked else "record longer"
         refusal = Refusal(
             Status.TOO_FEW_SAMPLES,
             f"{len(pairs)} sample times are valid in both views at the best offset:"
-            f" {rules.min_pairs_of_pose} are needed to find the pose as well; record longer",
+            f" {rules.min_pairs_of_pose} are needed to find the pose as well; {remedy}",
         )
     if refusal is not None:
         return refused(estimate, refusal)

@@ -22,11 +22,7 @@ from ssac.track.observation import Observation
 
 Log = Callable[[str], None]
 
-NO_READOUT = (
-    "the rig states no readout_s, so shutters are taken for global ones; rolling ones shift the"
-    " offset by up to their readout, beyond its deviation: state it in the rig, or, of two cameras,"
-    " estimate it with --estimate-readout"
-)
+NO_READOUT = "the rig states no readout_s"
 
 
 def quiet(line: str) -> None:
@@ -131,16 +127,23 @@ class Answer:
         if not np.isfinite(estimate.t_d_std_s):
             said.append(
                 f"{estimate.method} states no standard deviation, so nothing says how far off this"
-                " offset is: compare it with that of a method that states one, such as tangency"
+                " offset is: compare it with that of a method that states one, such as joint"
             )
-        elif any(
+            return tuple(said)
+        unread = [
             seen.has_track
             and not seen.n_followed
             and camera.readout_s is None
             and not camera.readout_std_s
             for camera, seen in zip(self.cameras, self.cleans, strict=True)
-        ):
-            said.append(NO_READOUT)
+        ]
+        if any(unread):
+            of = "" if all(unread) else f" of camera {1 + unread.index(True)}"
+            said.append(
+                f"{NO_READOUT}{of}, so shutters are taken for global ones; rolling ones shift the"
+                " offset by up to their readout, beyond its deviation: state it in the rig, or, of"
+                " two cameras, estimate it with --estimate-readout"
+            )
         return tuple(said)
 
     @property

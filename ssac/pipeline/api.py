@@ -5,6 +5,7 @@ import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -198,7 +199,7 @@ def sync(
         raise SsacError(f"sync: expected two cameras or more, got a list of {len(seen)}")
     of_two = len(seen) == 2
     for name, value in (("focal_std", focal_std), ("centre_std_px", centre_std_px)):
-        if value is not None and not (isinstance(value, (int, float)) and 0.0 <= value < np.inf):
+        if value is not None and not (isinstance(value, Real) and 0.0 <= value < np.inf):
             raise SsacError(f"{name}: expected a deviation of 0 or more, got {value!r}")
     for name, given, kind in (("reading", reading, Reading), ("known", known, Known)):
         if not isinstance(given, kind):

@@ -85,13 +85,12 @@ class NetworkResult:
                 focals = ", ".join(f"{one:.2f}" for one in np.diag(camera.calibration.K)[:2])
                 sigma = ", ".join(f"{one:.2g}" for one in camera.calibration.intrinsics_std_px[:2])
                 rows.append(("", f"not as in the rig: focal lengths {focals} px, 1 sigma {sigma}"))
+        finds = [camera.readout_std_s > 0.0 for camera in answer.cameras]
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
-                if note == NO_READOUT and all(
-                    answer.cameras[k].readout_std_s > 0.0 for k in (a, b)
-                ):
-                    continue  # the network estimates it
+                if note.startswith(NO_READOUT) and finds[a] and finds[b]:
+                    continue  # the network tells them
                 notes.setdefault(numbered(note, (a, b)), []).append(f"{a + 1}-{b + 1}")
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():

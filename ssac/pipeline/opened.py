@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ssac.arrays import Array, Events
 from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_event_array, check_events, events_of_array
-from ssac.files.damage import STRICT, Reading, check_is_file, within
+from ssac.files.damage import STRICT, Reading, check_is_file, note_unit, within
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
@@ -126,7 +127,7 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
     if numbers is not None and not (
         isinstance(numbers, (tuple, list))
         and len(numbers) == 2
-        and all(isinstance(one, int) and one >= 1 for one in numbers)
+        and all(isinstance(one, Integral) and one >= 1 for one in numbers)
     ):
         raise SsacError(
             f"cameras: expected the numbers of two cameras of the rig, from 1 on, got {numbers!r}"
@@ -236,7 +237,9 @@ def _opened(
     if isinstance(seen, PointTrack):
         return tracked(seen, "")
     if isinstance(seen, np.ndarray):
-        return Observation(events_of_array(seen, name))
+        events = events_of_array(seen, name)
+        note_unit(events, name, "microseconds")
+        return Observation(events)
     raise SsacError(
         f"{name}: expected a file, a structured array of events with the fields t, x, y and p, a"
         f" ssac.Observation, or what load_events or load_track gave, got {kind_of(seen)}"

@@ -66,6 +66,7 @@ def folder(recorded, tmp_path_factory):
     (tracks / "row_of_poles.csv").write_text(poles)
     for name, times_s in {
         "whole_us": np.rint(1e6 * track.times_s),
+        "whole_ms": np.rint(1e3 * track.times_s),
         "wraps": track.times_s % (2**24 * 1e-6),
         "third": track.times_s,
     }.items():
@@ -108,7 +109,7 @@ EVENTS = [
 
 TRACKS = [
     *((f"{name}.csv", f"{name}.csv.*{message}") for name, (_, message) in TEXTS.items()),
-    ("whole_us.csv", "give t_s in seconds"),
+    *((f"whole_{unit}.csv", "give t_s in seconds") for unit in ("us", "ms")),
     ("wraps.csv", "counter of 24 bits"),
     ("cam1.csv --rig slow.yaml", "readout_s is 50 ms, but frames follow each other in"),
     ("cam1.csv --rig wrong.yaml", "give seconds"),

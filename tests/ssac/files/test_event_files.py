@@ -345,6 +345,7 @@ SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
         ("a.txt", b"0.1 1 2 1\n" + 4096 * b"\0" + b"\n0.2 1 2 1\n", "byte 10 is zero"),
         ("a.csv", "t,x,y,p\n1,2,3,1\n".encode("utf-16"), "its text is UTF-16: save it as UTF-8"),
         ("a.csv", "1,2,3,1\n", "the first line must name the columns t,x,y,p"),
+        ("a.csv", "t_s,x_px,y_px\n1,2,3\n", "is a track of points, not events"),
         ("a.csv", "t,x,y,p\n0.1,2,3,1\n", "whole numbers, t in microseconds"),
         ("a.csv", "t,x@0,y,p\n1,2,3,1\n", "the sensor's size .* 1 to 65535 px, got '?0"),
         ("a.csv", "t,x,y,p\n1,1,1,1\n99999999999999999999999,1,1,1\n", "every line must be"),

@@ -98,7 +98,7 @@ def test_what_is_there_and_is_no_file_is_refused_and_stays(tmp_path):
     os.mkfifo(pipe)
     loop.symlink_to(loop)
     (tmp_path / "link").symlink_to(pipe)
-    for path in (pipe, loop, tmp_path / "link"):
+    for path in (pipe, loop, tmp_path / "link", Path("/dev/stdout"), Path("/proc/self/fd/1")):
         said = f"{path}: expected a regular file or a new name, got a device"
         with pytest.raises(WriteError, match=said):
             whole_file.check_targets([path], [])
