@@ -50,7 +50,7 @@ def sources_of(studies: Mapping[str, Study], only: str | None = None) -> list[St
     able = {
         name: study
         for name, study in studies.items()
-        if study.how is How.SHARED and study.runs is not None
+        if study.how is How.SHARED and study.runs.file
     }
     if only is not None:
         if only not in able:
@@ -79,18 +79,16 @@ def recomputed(
     """Repeat the runs on the drawn recordings in an empty cache; return a finding per recording."""
     findings = []
     for study in dict.fromkeys(study for study, _ in drawn):
-        kept = study.runs
-        assert kept is not None
         tasks = [task for whose, task in drawn if whose is study]
         cells = [cell for task in tasks for cell in task]
         runs = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure).runs
         number = {id(cell): at for at, cell in enumerate(cells_of(study))}
         runs.insert(0, CELL, [number[id(cell)] for cell in cells])
-        rows = table_of_texts(runs_text(kept, runs))
+        rows = table_of_texts(runs_text(study.runs, runs))
         for task in tasks:
             mine, rows = rows[: len(task)], rows[len(task) :]
             where = ", ".join(f"{key} {value}" for key, value in task[0].columns.items())
-            what = f"{kept.file}: {len(mine)} runs on the recording of {where}"
+            what = f"{study.runs.file}: {len(mine)} runs on the recording of {where}"
             findings.append(found(what, partial(row_faults, mine, study, results)))
     return findings
 
@@ -98,7 +96,6 @@ def recomputed(
 def row_faults(again: pd.DataFrame, study: Study, results: Results) -> list[str]:
     """List how rows differ from the committed rows with the same keys; all cells are texts."""
     kept, faults = study.runs, []
-    assert kept is not None
     keys = (CELL,) if kept.numbered else kept.keys
     committed = table_of_texts(results.text(kept.file)).to_dict("records")
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed}

@@ -71,6 +71,9 @@ class Runs:
     """Makes the written table from all rows, if it has not one line per row: only How.ALONE."""
 
 
+NO_RUNS = Runs("", ())
+
+
 @dataclass(frozen=True)
 class Made:
     """One file that is made from the files of results: a table, a figure or a page."""
@@ -115,7 +118,7 @@ class Study:
     title: str
     cells: Callable[..., Sequence[PlainCell]]  # its parameters are the options of the command
     measure: Measure
-    runs: Runs | None  # None: no cells, and files made from others' results
+    runs: Runs  # NO_RUNS: no cells, and files made from others' results
     makes: tuple[Made, ...] = ()
     numbers: Mapping[str, Callable[[Results], str]] = field(default_factory=dict)  # for pages
     checks: tuple[Check, ...] = ()
@@ -131,7 +134,7 @@ class Study:
     @property
     def files(self) -> tuple[str, ...]:
         """Names of all its files without the provenances."""
-        return (*([self.runs.file] if self.runs else []), *(made.file for made in self.makes))
+        return tuple(filter(None, (self.runs.file, *(made.file for made in self.makes))))
 
     @property
     def provenances(self) -> dict[str, Mapping[str, Any]]:
@@ -229,15 +232,14 @@ def save_study(
     options: Options | None = None,
 ) -> tuple[Outcome, list[Path]]:
     """Run a study or a shard of it, write its files into a folder, and return their paths."""
-    kept = study.runs
-    assert kept is not None  # `ssac figures` writes the files that need no runs
     check_folder(out)
     start = time.perf_counter()
     given = {name: value for name, value in (options or {}).items() if name in study.options}
     others = {name: value for name, value in given.items() if value != study.options[name]}
     config = {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
     outcome = run_study(study, cache, workers, shard, given)
-    rows = kept.table(outcome.runs, Results(out)) if kept.table else outcome.runs
+    make_table = study.runs.table
+    rows = make_table(outcome.runs, Results(out)) if make_table else outcome.runs
     content = provenance(
         study.command_line(given, shard),
         config | ({"options": others} if others else {}),
@@ -246,7 +248,7 @@ def save_study(
         recordings_simulated=outcome.n_simulated,
         peak_mb_per_worker=round(outcome.peak_mb),
     )
-    text = runs_text(kept, rows, shard)
+    text = runs_text(study.runs, rows, shard)
     return outcome, save_made(study, out, cache, text, content, shard == WHOLE, given)
 
 
@@ -260,12 +262,11 @@ def save_made(
     options: Options | None = None,
 ) -> list[Path]:
     """Write the rows, the files made from them, and each table's provenance; return their paths."""
-    kept, results = study.runs, Results(out)
-    assert kept is not None
+    results = Results(out)
 
     def files() -> Iterator[File]:
-        yield kept.file, runs.encode()
-        yield provenance_file(kept.file, content)
+        yield study.runs.file, runs.encode()
+        yield provenance_file(study.runs.file, content)
         for made in study.makes if is_whole else ():
             folders = [cache.recording_folder(*flight) for flight in made.filmed(options)]
             yield made.file, made.bytes_of(results, *folders)
@@ -286,7 +287,6 @@ def runs_text(kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE) ->
 def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[PlainCell]) -> None:
     """Raise SsacError unless every cell of the study has exactly one row, in the order of cells."""
     kept, again = study.runs, f": run `{study.command_line()}`"
-    assert kept is not None
     expected = read_table(csv_text(pd.DataFrame([dict(cell.columns) for cell in cells])))
     if len(runs) != len(expected) and "method" in expected:
         ours = expected["method"].isin([one.name for one in OURS])
@@ -306,13 +306,6 @@ def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[PlainCell]) -> 
         row = int(unlike.argmax())
         found, wanted = runs[names].to_dict("records")[row], expected.to_dict("records")[row]
         raise SsacError(f"{kept.file}: row {row} is of {found}, expected {wanted}{again}")
-    check_keys(kept, runs)
-
-
-def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
-    """Raise SsacError unless the key columns identify each row."""
-    if runs.duplicated(list(kept.keys)).any():
-        raise SsacError(f"{kept.file}: {', '.join(kept.keys)} do not tell all runs apart")
 
 
 def merge(
@@ -345,9 +338,8 @@ def merge(
                 raise SsacError(f"cell {number} is in {lines[number][1]} and in {path}")
             lines[number] = line, path
     study = study_of(wholes[0])
-    if study.runs is None or out.name != study.runs.file:
-        runs_file = study.runs.file if study.runs else "none"
-        raise SsacError(f"{out}: the runs of this study are named {runs_file}")
+    if out.name != study.runs.file:
+        raise SsacError(f"{out}: the runs of this study are named {study.runs.file or 'none'}")
     n_cells = len(study.cells(**wholes[0].get("options", {})))
     missing = sorted(set(range(n_cells)) - set(lines))
     if missing:

@@ -28,7 +28,7 @@ from experiments.lab.results import (
     read_table,
     sha256,
 )
-from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
+from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_runs
 from sim.errors import SimError
 from ssac.errors import SsacError
 from ssac.estimate import Status
@@ -94,7 +94,7 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
     for name, config in study.provenances.items():
         what = f"{name}: a clean commit, today's configuration, versions"
         yield found(what, partial(provenance_faults, results, name, line, config))
-    if study.runs is not None:
+    if study.runs.file:
         what = f"{study.runs.file} has every run of {study.name} once, as it is written"
         yield found(what, partial(_runs_faults, study, results))
         runs = study.runs.file.removesuffix(".csv")
@@ -112,10 +112,9 @@ def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Find
     """Check that runs that several studies share have the same values in all their files."""
     seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
     for study in studies:
-        if study.runs is None or study.how is not How.SHARED:
-            continue
-        what = f"{study.runs.file} has the rows of other files where the runs are the same"
-        yield found(what, partial(_unlike_others, study, results, seen))
+        if study.runs.file and study.how is How.SHARED:
+            what = f"{study.runs.file} has the rows of other files where the runs are the same"
+            yield found(what, partial(_unlike_others, study, results, seen))
 
 
 def provenance_faults(
@@ -245,14 +244,12 @@ def _changed(results: Path, files: Iterable[str]) -> list[str]:
 
 
 def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
-    kept = study.runs
-    assert kept is not None
-    text = results.text(kept.file)
+    kept, text = study.runs, results.text(study.runs.file)
     runs = read_table(text)
-    if study.how is How.GIVEN or kept.table is not None:
-        check_keys(kept, runs)
-    else:
+    if study.how is not How.GIVEN and kept.table is None:
         check_runs(study, runs, cells_of(study))
+    if runs.duplicated(list(kept.keys)).any():
+        raise SsacError(f"{kept.file}: {', '.join(kept.keys)} do not tell all runs apart")
     return text_difference(text, csv_text(runs, kept.digits))
 
 
@@ -299,7 +296,6 @@ def _with_last_digits_of(text: str, again: str) -> str:
 def _unlike_others(
     study: Study, results: Results, seen: dict[Any, tuple[str, Mapping[str, str]]]
 ) -> Iterator[str]:
-    assert study.runs is not None
     cells, file = cells_of(study), study.runs.file
     table = table_of_texts(results.text(file))
     if len(table) != len(cells):

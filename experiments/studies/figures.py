@@ -20,7 +20,7 @@ from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import provenance, provenance_file
 from experiments.lab.results import PROVENANCE, File, Results, save_files
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Made, Study
+from experiments.lab.study import NO_RUNS, Made, Study
 from experiments.studies import all_studies
 from sim.recording import SimConfig
 from sim.render.gl_context import context_or_none
@@ -123,7 +123,7 @@ STUDIES = (
         "The paper's figures",
         lambda: (),
         SCORED,
-        None,
+        NO_RUNS,
         _OF_RECORDINGS,
         config=config(),
         command=COMMAND,

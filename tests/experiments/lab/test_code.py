@@ -180,7 +180,7 @@ def test_packages_only_list_names():
 def test_no_measure_reaches_a_drawing_and_that_of_the_tables_no_network_plot_or_command():
     """So an edit of a drawing makes no row new."""
     names = [name for name, study in all_studies().items()
-             if study.runs is not None and not study.options and study.cells()]  # fmt: skip
+             if study.runs.file and not study.options and study.cells()]  # fmt: skip
     reached = SourceTree().closure(*(code for name in names for code in code_of_study(name)))
     assert not {one for one in reached if one.startswith("experiments.drawing")}
     row = SourceTree().closure(*CODES["runs"])

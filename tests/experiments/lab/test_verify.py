@@ -7,7 +7,7 @@ import pytest
 
 from experiments.lab import verify
 from experiments.lab.results import SUMS_FILE, Results, record_checksums
-from experiments.lab.study import Runs
+from experiments.lab.study import NO_RUNS, Runs
 from experiments.studies import all_studies
 from tests.experiments.lab import squares
 from tests.experiments.lab.squares import SQUARES
@@ -148,7 +148,7 @@ def once(make):
 def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(name, file):
     """A row that is gone, doubled or changed is a fault, or makes a number on a page stale."""
     study, committed = all_studies()[name], Results(RESULTS)
-    is_of_runs = study.runs is not None and file == study.runs.file
+    is_of_runs = file == study.runs.file
     followed = [
         replace(one, make=once(one.make)) if one.follows and not is_of_runs else one
         for one in study.makes
@@ -156,7 +156,7 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(name, file):
     ]
     study = replace(study, makes=tuple(followed))  # other files are not made again
     if file.endswith(".csv") and not is_of_runs:
-        study = replace(study, runs=None)  # and the runs are not checked
+        study = replace(study, runs=NO_RUNS)  # and the runs are not checked
     text = committed.text(file)
     damages = [squares.delete_a_row, squares.double_a_row]
     for damage in damages if file in UNGUARDED else [*damages, squares.double_a_number]:

@@ -29,7 +29,7 @@ STUDIES = all_studies()
 WITH_CELLS = [
     name
     for name, study in STUDIES.items()
-    if study.runs is not None and study.runs.table is None and study.how is not How.GIVEN
+    if study.runs.file and study.runs.table is None and study.how is not How.GIVEN
 ]
 
 OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "fidelity", "mini_10",
