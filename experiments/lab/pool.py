@@ -148,18 +148,11 @@ def _serve(pipe: Connection) -> None:
     """Run jobs from the pipe until it closes: the main loop of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, OSError):
+    with suppress(OSError):  # of `send`, which fails after `recv` when the pipe is closed
         while True:
-            try:
-                answer = _done(pipe.recv())
-            except (EOFError, OSError):
-                return
-            except Exception as error:  # unpickling failed, as when a module is missing here
-                answer = None, error
+            answer = _done(lambda: pipe.recv()())  # unpickling fails where a module is missing
             try:
                 pipe.send(answer)
-            except OSError:
-                return
             except Exception as error:  # the answer cannot be pickled
                 pipe.send((None, TypeError(f"{answer!r}: {error}")))
 
