@@ -84,7 +84,7 @@ def page_content(
             _flights(runs, duration_s, table, comparison) for duration_s, table in tables.items()
         ],
         "differing": _shown(differing.replace({"note": {"": "not known"}}), _DIFFERENCES),
-        "failed": _failures(runs),
+        "failed": shown(_failures(runs), _FAILED),
         "n_failed": int((runs["status"] != "ok").sum()),
         "n_runs": len(runs),
     }
@@ -124,7 +124,14 @@ _DIFFERENCES = {
     "95 % interval of the difference": "{difference_low:.3f} to {difference_high:.3f}",
     "reason": "{note}",
 }
-"""_AGAINST, _FURTHER and _DIFFERENCES: formats of a row's values, by the column's heading."""
+_FAILED = {
+    "method": "`{method}`",
+    "flights": "{duration_s:g} s",
+    "status": "{status}",
+    "runs": "{runs}",
+    "reason of the first": "{reason}",
+}
+"""_AGAINST, _FURTHER, _DIFFERENCES and _FAILED: formats of a row's values, by column's heading."""
 
 
 def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
@@ -220,13 +227,4 @@ def _places(rows: pd.DataFrame) -> Iterator[pd.Series]:
 def _failures(runs: pd.DataFrame) -> pd.DataFrame:
     """Count the runs that gave no estimate, with one reason of each kind."""
     groups = runs[runs["status"] != "ok"].groupby(["method", "duration_s", "status"])
-    return pd.DataFrame([
-        {
-            "method": f"`{method}`",
-            "flights": f"{duration_s:g} s",
-            "status": status,
-            "runs": str(len(group)),
-            "reason of the first": group["reason"].iloc[0],
-        }
-        for (method, duration_s, status), group in groups
-    ])  # fmt: skip
+    return groups["reason"].agg(runs="size", reason="first").reset_index()
