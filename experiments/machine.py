@@ -9,7 +9,6 @@ million. Each step runs on one core, after a smaller one that loads the kernels.
 
 import shutil
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -21,7 +20,7 @@ import numpy as np
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 from experiments.lab.grid import Cell, GridConfig, named_config
-from experiments.lab.schedule import Outcome, Workers, peak_memory_mb, run_cells
+from experiments.lab.schedule import Outcome, Workers, run_cells, timed
 from experiments.paper.esim import TABLES, table_cells
 from experiments.scenes.simulate import record_with_progress
 from sim.recording import SimConfig
@@ -34,7 +33,7 @@ from sim.scene.trajectory import SplineConfig, random_spline
 from sim.storage import record
 from ssac.arrays import Array
 from ssac.camera import Cameras
-from ssac.estimate import Estimate, Status
+from ssac.estimate import Estimate
 from ssac.pipeline.api import sync
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import MEANS, Source, opened, opened_rig
@@ -94,9 +93,8 @@ def best_seconds(work: Callable[[], Made]) -> tuple[float, Made]:
     result = work()
     seconds = []
     for _ in range(REPEATS):
-        start = time.process_time()
-        result = work()
-        seconds.append(time.process_time() - start)
+        result, _, cpu_s, _ = timed(work)
+        seconds.append(cpu_s)
     return min(seconds), result
 
 
@@ -128,12 +126,11 @@ def bench_recording() -> list[Measurement]:
     short = SimConfig(spline=SplineConfig(duration_s=1.0))
     with tempfile.TemporaryDirectory() as folder:
         record_with_progress(short, 0, Path(folder) / "short")  # loads the kernels
-        start = time.perf_counter()
-        record_with_progress(SimConfig(), 0, Path(folder) / "pair")
-        seconds = time.perf_counter() - start
+        pair = partial(record_with_progress, SimConfig(), 0, Path(folder) / "pair")
+        _, seconds, _, peak_mb = timed(pair)
     return [
         Measurement("simulate a 20 s pair, frames included", seconds, "s"),
-        Measurement("simulate a 20 s pair: peak memory", peak_memory_mb(), "MB", 450.0),
+        Measurement("simulate a 20 s pair: peak memory", peak_mb, "MB", 450.0),
     ]
 
 
@@ -199,9 +196,9 @@ def _cells(grid: GridConfig) -> list[Cell]:
 
 
 def _run(cells: Sequence[Cell], cache: Cache, count: int) -> tuple[float, Outcome]:
-    start = time.perf_counter()
-    outcome = run_cells(cells, cache, Workers(count), show_progress=False)
-    return time.perf_counter() - start, outcome
+    run = partial(run_cells, cells, cache, Workers(count), show_progress=False)
+    outcome, seconds, *_ = timed(run)
+    return seconds, outcome
 
 
 PARTS: Mapping[str, Callable[[], list[Measurement]]] = {
@@ -284,20 +281,14 @@ def step_row(cell: StepCell, cache: Cache) -> StepRow:
     if cell.step == SIMULATE:
         with tempfile.TemporaryDirectory() as other:
             record(replace(POINTS[0], duration_s=1.0).config, 0, Path(other) / "short", {})
-    else:
-        _sync(smallest)
-    status, n_events, error_ms = str(Status.OK.value), np.nan, np.nan
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
-    if cell.step == SIMULATE:
-        n_events = float(np.mean(record(cell.point.config, 0, pair, {}).n_events))
-    else:
-        estimate = _sync(pair)
-        status = str(estimate.status)
-        error_ms = 1e3 * abs(estimate.t_d_s - T_D_S) if status == Status.OK.value else np.nan
-    wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-    if cell.step == SYNCHRONISE and pair != smallest:
+        recorded, *took = timed(partial(record, cell.point.config, 0, pair, {}))
+        return StepRow("ok", "", float(np.mean(recorded.n_events)), *took)
+    _sync(smallest)
+    estimate, wall_s, cpu_s, peak_mb = timed(partial(_sync, pair))
+    if pair != smallest:
         shutil.rmtree(pair)
-    return StepRow(status, "", n_events, wall_s, cpu_s, peak_memory_mb(), error_ms)
+    error_ms = 1e3 * abs(estimate.t_d_s - T_D_S) if estimate.status == "ok" else np.nan
+    return StepRow(str(estimate.status), "", np.nan, wall_s, cpu_s, peak_mb, error_ms)
 
 
 STEP = Measure(load_nothing, step_row, StepRow)

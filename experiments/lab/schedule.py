@@ -17,7 +17,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -36,6 +36,7 @@ MAX_DEATHS = 2
 """Number of workers that die on one task before its runs count as crashed. One death may be due to
 other processes, as when memory is short."""
 
+Result = TypeVar("Result")
 
 Task = tuple[PlainCell, ...]  # all cells that are measured on the same recordings
 
@@ -241,6 +242,13 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
         n_before = len(cache.simulated)
         rows = _rows(task, cache, measure)
     return Done(rows, len(cache.simulated) - n_before, peak_memory_mb())
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, float, float, float]:
+    """Return a result, its wall and processor time [s], and the peak memory so far [MB]."""
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    result = work()
+    return result, time.perf_counter() - wall_s, time.process_time() - cpu_s, peak_memory_mb()
 
 
 def peak_memory_mb() -> float:

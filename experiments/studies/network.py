@@ -8,9 +8,9 @@ The growth of time and memory is measured on tracks of ever longer flights befor
 cameras. Each is solved as `ssac sync` of its files does, in a process of its own on one core.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +27,7 @@ from experiments.lab.command import command_of
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
-from experiments.lab.schedule import peak_memory_mb
+from experiments.lab.schedule import timed
 from experiments.lab.score import mahalanobis
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, by_group, digits, made_of, shown_table, statistics
@@ -305,10 +305,7 @@ def growth_row(cell: GrowthCell, _: object) -> GrowthRow:
         short, whole = Path(name) / "short", Path(name) / "whole"
         files, clocks = write_tracks(whole, cell.duration_s)
         sync(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
-        wall_s, cpu_s = time.perf_counter(), time.process_time()
-        found = sync(files, whole / "rig.yaml")
-        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-        peak_mb = peak_memory_mb()
+        found, wall_s, cpu_s, peak_mb = timed(partial(sync, files, whole / "rig.yaml"))
     parts, status = found.seconds, found.network.status
     row = GrowthRow(
         str(status),
