@@ -143,14 +143,13 @@ def observations(recording: Recording) -> tuple[Observation, Observation]:
     return first, second
 
 
-def rig_of(recording: Recording, with_extrinsics: bool = False) -> Rig:
-    """Return the intrinsics, and the true extrinsics only when asked for."""
+def rig_of(recording: Recording) -> Rig:
+    """Return the rig of the first two cameras, with the true extrinsics."""
     cam1, cam2 = (
         Camera(one.K, one.width, one.height, one.distortion_model, one.distortion_coeffs)
         for one in recording.rig.cameras[:2]
     )
-    T_2_1 = recording.rig.relative_pose(0, 1) if with_extrinsics else None
-    return Rig(cam1, cam2, T_2_1)
+    return Rig(cam1, cam2, recording.rig.relative_pose(0, 1))
 
 
 def check_mesh(path: Path) -> None:

@@ -43,7 +43,7 @@ def scene_figures(recording: Recording) -> dict[str, float]:
     offset; the widths are the 5th and the 95th percentile over the valid sample times, and the
     events the mean per camera. SsacError if nothing is seen.
     """
-    config, rig, t_d_s = Config(), rig_of(recording, with_extrinsics=True), recording.truth.t_d_s
+    config, rig, t_d_s = Config(), rig_of(recording), recording.truth.t_d_s
     chain = Chain(observations(recording), rig, config)
     views = chain.views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
