@@ -90,9 +90,8 @@ class Cache:
     def save_run(self, key: str, row: dict[str, Any]) -> None:
         """Keep a run's row, unless it is there already."""
         path = self._run_path(key)
-        if path.exists():
-            return
-        save_text(path, text_of_row(row))
+        if not path.exists():
+            save_text(path, text_of_row(row))
 
     def claim_of_runs(self, recordings: str) -> Path:
         """Name the lock of all runs on the recordings with this `schedule.recordings_key`."""
@@ -275,15 +274,13 @@ def claimed(path: Path) -> Iterator[bool]:
         path, lease_duration=LAPSES_S, timeout=0, thread_local=False
     )
     try:
-        lease.acquire()
+        held = lease.acquire()
     except Timeout:
         _SEEN[path] = lease
         yield False
-        return
-    try:
-        yield True
-    finally:
-        lease.release()
+    else:
+        with held:
+            yield True
 
 
 def remove_lapsed(folder: Path) -> None:
