@@ -18,7 +18,7 @@ from experiments.drawing.style import Figure, legend_outside, mark_survivors, pa
 from experiments.lab.grid import FigureConfig, GridConfig, config_names, named_config
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, digits, made_of, markdown_table, statistics
 from experiments.lab.verify import scored_checks
 from experiments.paper.esim import ERRORS, NOISY_MARKS, POSE_ERRORS, R_ERROR, T_D_ERROR
@@ -72,15 +72,14 @@ _NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
 }
 
 
-def ablation_study(grid: GridConfig, command: str = "") -> Study:
-    """Make the study of a grid's mean errors, with a figure if its TOML describes one."""
+def ablation_study(grid: GridConfig, command: str) -> Study:
+    """Make the study of a grid's mean errors, with the figure that its TOML describes."""
     name, runs = grid.name, f"{grid.name}_runs"
-    makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
-    if grid.figure is not None:
-        makes.append(made_of(f"{name}.png", partial(ablation_figure, grid=grid), runs))
     return Study(
         name, grid.title, grid.cells, SCORED,
-        Runs(f"{runs}.csv", (*grid.varied, "flight", "method")), tuple(makes),
+        Runs(f"{runs}.csv", (*grid.varied, "flight", "method")),
+        (made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs),
+         made_of(f"{name}.png", partial(ablation_figure, grid=grid), runs)),
         numbers=_NUMBERS.get(name, {}), checks=scored_checks(runs), config=grid.content,
         command=command,
     )  # fmt: skip

@@ -117,16 +117,15 @@ def spoilt_pair(flown: Flown, kind: Kind, duration_s: float) -> Pair:
     But for a jump, camera 2's clock shows `T_D_S` more in the middle. The rig has the kind's wrong
     intrinsics, and the true pose.
     """
-    seed = flown.seed
-    flight, has_second = flown.flight, kind.disturb.second_object > 0.0
+    seed, flight = flown.seed, flown.flight
     seen = flight.cam1, flown.other.cam2 if kind.others else flight.cam2
-    others = flown.other[:2] if has_second and not kind.others else None
     cameras, models = [], []
     for index, model in enumerate((flight.rig.cam1, flight.rig.cam2)):
         view = View(model.width, model.height, duration_s)
         streams = [seen[index].events, clutter(kind.disturb, view, seed, index)]
-        if others is not None:
-            streams.append(thinned(others[index].events, kind.disturb.second_object, seed, index))
+        if kind.disturb.second_object > 0.0:
+            second = flown.other[:2][index].events
+            streams.append(thinned(second, kind.disturb.second_object, seed, index))
         cameras.append(merged(*streams))
         models.append(_wrong(model, kind, seed, index))
     drift = Drift(kind.skew_of(seed), 0.5 * duration_s, kind.jump)
