@@ -18,7 +18,7 @@ from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.grid import changed
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
-from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
+from experiments.lab.score import Truth, scored
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted, records, shown_table, statistics
 from experiments.paper.esim import ANGLES_DEG
@@ -229,7 +229,7 @@ def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
 
 
 def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
-    """Return how far t_d [ms], R and t [deg] are from the estimate with exact intrinsics."""
+    """Score an estimate against the one with exact intrinsics, as if that were the truth."""
 
     def exactly() -> Estimate:
         pair = flown.flight._replace(cam2=flown.flight.cam2.delayed(T_D_S))
@@ -238,11 +238,8 @@ def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
     exact = flown.made("exact", exactly)
     if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:
         return {}
-    return {
-        "t_d_moved_ms": 1e3 * abs(estimate.t_d_s - exact.t_d_s),
-        "r_moved_deg": rotation_angle_deg(estimate.R.T @ exact.R),
-        "t_moved_deg": angle_between_deg(estimate.t, exact.t),
-    }
+    moved = scored(estimate, Truth(exact.t_d_s, exact.R, exact.t))
+    return {name: moved[name.replace("moved", "error")] for name in _MOVED}
 
 
 HELD = {

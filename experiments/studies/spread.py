@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.drawing.style import Figure, legend_outside, panels
 from experiments.lab.cell import Measure, PlainCell, RunRow
+from experiments.lab.score import angle_between_deg
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
 from ssac.config import N_MIN, Config
@@ -116,29 +117,25 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
         ok = answered(group)
         counts = {"method": method, "windows": len(group), "answered": len(ok)}
         for quantity, (off, stated) in _deviations(ok).items():
-            spread = float(np.sqrt(np.mean(np.square(off)))) if len(off) else np.nan
+            spread = float(np.sqrt(off.pow(2).mean()))
             median = ok["t_d_ms"].dropna().median() if quantity == "t_d_ms" else np.nan
-            most = float(np.max(np.abs(off))) if len(off) else np.nan
             row = {**counts, "quantity": quantity, "median": median}
-            row |= {"spread": spread, "most": most, "stated": stated}
+            row |= {"spread": spread, "most": off.abs().max(), "stated": stated}
             rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
     return pd.DataFrame(rows)
 
 
-def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
+def _deviations(ok: pd.DataFrame) -> "dict[str, tuple[pd.Series[float], float]]":
     """Return distances from the mean and the median stated deviation, of each given quantity."""
-    t_d = ok["t_d_ms"].to_numpy(np.float64)
-    found = {"t_d_ms": (t_d - t_d.mean() if len(t_d) else t_d, ok["t_d_std_ms"].dropna().median())}
+    off = {"t_d_ms": ok["t_d_ms"] - ok["t_d_ms"].mean()}
     posed = ok[ok["t_x"].notna()]
     if len(posed):
         turns = Rotation.from_rotvec(posed[["r_x_deg", "r_y_deg", "r_z_deg"]], degrees=True)
-        off_deg = np.rad2deg((turns.mean().inv() * turns).magnitude())
-        found["R_deg"] = (off_deg, posed["r_std_deg"].dropna().median())
+        off["R_deg"] = pd.Series(np.rad2deg((turns.mean().inv() * turns).magnitude()))
         t = posed[["t_x", "t_y", "t_z"]].to_numpy(np.float64)
-        mean = t.mean(axis=0) / np.linalg.norm(t.mean(axis=0))
-        apart = np.arctan2(np.linalg.norm(np.cross(t, mean), axis=1), t @ mean)
-        found["t_deg"] = (np.rad2deg(apart), posed["t_std_deg"].dropna().median())
-    return found
+        off["t_deg"] = pd.Series([angle_between_deg(one, t.mean(axis=0)) for one in t])
+    stated = {"t_d_ms": "t_d_std_ms", "R_deg": "r_std_deg", "t_deg": "t_std_deg"}
+    return {name: (far, ok[stated[name]].dropna().median()) for name, far in off.items()}
 
 
 def spread_figure(runs: pd.DataFrame) -> Figure:
