@@ -34,7 +34,7 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
-from experiments.studies.imperfect import ImperfectRow, given_columns, held
+from experiments.studies.imperfect import ImperfectRow, counted, given_columns, held
 from experiments.worlds.spoilt import GOOD, RIGHT, T_D_S, Errors, Kind, spoilt_pair
 from sim.disturb import DisturbConfig, second_seed
 from sim.effects.config import SENSOR_PRESETS
@@ -378,6 +378,7 @@ def _judged(runs: pd.DataFrame) -> dict[str, Any]:
 def _counts(default: pd.DataFrame) -> dict[str, Any]:
     given = default["offset_given"].astype(bool)
     shares, _ = held(default, HELD, as_shares=True)
+    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
     return {
         "recordings": len(default),
         "answered": int(given.sum()),
@@ -386,21 +387,12 @@ def _counts(default: pd.DataFrame) -> dict[str, Any]:
         "settled_refused": int(((default["verdict"] == "settled") & ~given).sum()),
         **shares,
         "beyond": int(default["is_beyond"].sum()),
-        "worst": _worst(default),
-        "refused": _listed(default["status"][~given]),
-        "settings": _listed(default["settings"].explode()),
+        "worst": "" if off.isna().all() else f"{default['flight'][off.idxmax()]}: {off.max():.1f}",
+        "refused": counted(default["status"][~given].value_counts(), "{} {}", "; "),
+        "settings": counted(default["settings"].explode().value_counts(), "{} {}", "; "),
         "cpu_s_median": default["cpu_s"].median(),
         "cpu_s_most": default["cpu_s"].max(),
     }
-
-
-def _worst(default: pd.DataFrame) -> str:
-    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
-    return "" if off.isna().all() else f"{default['flight'][off.idxmax()]}: {off.max():.1f}"
-
-
-def _listed(words: "pd.Series[Any]") -> str:
-    return "; ".join(f"{word} {count}" for word, count in words.value_counts().items())
 
 
 _SHOWN_AS = {

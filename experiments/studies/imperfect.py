@@ -178,9 +178,9 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
     return {"runs": len(runs), "answered": int(given.sum()), "refused": refused}
 
 
-def counted(counts: "pd.Series[int]") -> str:
+def counted(counts: "pd.Series[int]", form: str = "{}:{}", between: str = " ") -> str:
     """List words and their counts."""
-    return " ".join(f"{word}:{count}" for word, count in counts.items())
+    return between.join(form.format(word, count) for word, count in counts.items())
 
 
 def held(
