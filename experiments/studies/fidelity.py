@@ -225,6 +225,8 @@ def verdict(results: Results) -> str:
 
 
 _MEASURE = Measure(load_nothing, fidelity_row, FidelityRow)
+_APART = " or ".join(f"not {one} <= {RENDERER_TOLERANCE_MS}" for one in DIFFERENCES)
+_ALIKE = f"offsets differ by {RENDERER_TOLERANCE_MS:g} ms at most", no_row("renderers", _APART)
 
 STUDIES = (
     Study(
@@ -248,15 +250,7 @@ STUDIES = (
         _MEASURE,
         Runs("renderers_runs.csv", ("duration_s", "angle_deg", "flight")),
         (made_of("renderers.csv", fidelity_table, "renderers_runs"),),
-        checks=(
-            (
-                f"offsets differ by {RENDERER_TOLERANCE_MS:g} ms at most",
-                no_row(
-                    "renderers",
-                    " or ".join(f"not {one} <= {RENDERER_TOLERANCE_MS}" for one in DIFFERENCES),
-                ),
-            ),
-        ),
+        checks=(_ALIKE,),
         config={
             "flights": RENDERER_FLIGHTS,
             "durations_s": DURATIONS_S,

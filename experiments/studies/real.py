@@ -215,6 +215,11 @@ def _stray_faults(results: Results) -> Iterator[str]:
     yield from _unlike(results.table(PAIRS), "most_stray_ms", most_ms, 0.0)
 
 
+def _path_faults(results: Results) -> list[str]:
+    there = list(results.table(PATHS)["data_set"])
+    return [] if there == list(DATA_SETS) else [f"{PATHS}.csv has not each data set once"]
+
+
 def _unlike(
     pairs: pd.DataFrame, column: str, others: "pd.Series[float]", default: float
 ) -> Iterator[str]:
@@ -365,14 +370,7 @@ STUDIES = (
             ("each pair is there once, with an offset or a reason", _pair_faults),
             ("triples are of answered pairs and close as these say", _triple_faults),
             ("knots are of pairs and stray as these say", _stray_faults),
-            (
-                "each data set has a path",
-                lambda of: (
-                    ()
-                    if list(of.table(PATHS)["data_set"]) == list(DATA_SETS)
-                    else [f"{PATHS}.csv has not each data set once"]
-                ),
-            ),
+            ("each data set has a path", _path_faults),
             ("a coverage is a share", no_row(PATHS, "coverage < 0 or coverage > 1")),
             ("a mean is at most an RMSE", no_row(PATHS, "mean_m > rmse_m")),
             ("an RMSE is at most a maximum", no_row(PATHS, "rmse_m > max_m")),
