@@ -197,8 +197,7 @@ def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
         )
     ideal = SensorPreset(PRESETS[noise], SensorEffects())
     start = ideal if preset is None else SENSOR_PRESETS[preset]
-    thresholds = {name: options[name] for name in _THRESHOLDS}
-    given = {name: value for name, value in thresholds.items() if value is not None}
+    given = {name: options[name] for name in _THRESHOLDS if options[name] is not None}
     changes = dict(_parsed(effect) for effect in options["effect"] or ())
     if options["illuminance"] is not None:
         if "illuminance_lux" in changes:

@@ -34,7 +34,6 @@ from experiments.drawing.errors import efficiency_figure
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import FlightTruth, load_pair, load_truth
-from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, quoted_of
 from experiments.paper.esim import ERRORS, KEY, TABLES, in_order, table_cells
@@ -115,12 +114,6 @@ def efficiency_table(part: pd.DataFrame) -> dict[str, Any]:
         row |= {f"{name}_bound_{unit}": bound, f"{name}_rms_{unit}": rms}
         row[f"{name}_efficiency"] = bound / rms if rms > 0.0 else np.nan
     return row
-
-
-def summary(results: Results) -> pd.DataFrame:
-    """Sum up the tables' runs beside the bounds."""
-    beside = runs_beside_bounds(results.table("runs"), results.table("efficiency_runs"))
-    return efficiency_table(beside)
 
 
 # --- The bound ---
@@ -234,7 +227,8 @@ STUDIES = (
         bound_cells,
         Measure(load_flown, bound_row, BoundRow),
         Runs("efficiency_runs.csv", FLIGHT),
-        (Made("efficiency.csv", summary),
+        (Made("efficiency.csv", lambda of: efficiency_table(
+            runs_beside_bounds(of.table("runs"), of.table("efficiency_runs")))),
          made_of("efficiency.png", efficiency_figure, "efficiency")),
         numbers={f"bound.{m}": _SHARE(method=m) for m in ("ssac", "joint", "tangency")},
         config={"tables": TABLES, "methods": list(SAMPLES)},

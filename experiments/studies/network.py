@@ -294,11 +294,6 @@ class GrowthRow(RunRow):
     path_rmse_m: float = np.nan
 
 
-def growth_cells() -> list[GrowthCell]:
-    """List the flights."""
-    return [GrowthCell(duration_s) for duration_s in DURATIONS_S]
-
-
 def growth_row(cell: GrowthCell, _: object) -> GrowthRow:
     """Solve a flight in this process, after a short one that loads the kernels."""
     with TemporaryDirectory() as name:
@@ -406,7 +401,7 @@ GROWTH = (
     Study(
         "network_growth",
         "How time and memory grow with the flight of eight frame cameras",
-        growth_cells,
+        lambda: [GrowthCell(duration_s) for duration_s in DURATIONS_S],
         Measure(load_nothing, growth_row, GrowthRow),
         Runs(
             "network_growth.csv",

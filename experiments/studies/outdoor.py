@@ -121,7 +121,7 @@ class OutdoorCell(PlainCell):
         if self.kind == THREE_CAMERAS:  # camera 2 is as far from camera 1 as from camera 3
             clock: dict[str, Any] = {"t_d_s": THIRD_T_D_S, "skew_ppm": THIRD_SKEW_PPM}
             configs.append(replace(self.config, angle_deg=2.0 * self.config.angle_deg, **clock))
-        return tuple((config, seed_of(self.flight)) for config in configs)
+        return tuple((config, FIRST_SEED + self.flight) for config in configs)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -356,14 +356,9 @@ def outdoor_config(duration_s: float = DURATION_S) -> SimConfig:
     )
 
 
-def seed_of(flight: int) -> int:
-    """Seed of a flight, from 0 on."""
-    return FIRST_SEED + flight
-
-
 def rtk_of(truth: FlightTruth, flight: int) -> SpacePath:
     """Simulate RTK: its antenna's path on its own clock, with noise of a centimetre or two."""
-    rng = np.random.default_rng([_STREAM, seed_of(flight), 0])
+    rng = np.random.default_rng([_STREAM, FIRST_SEED + flight, 0])
     first_s, last_s = _RTK_CLOCK.cam2_from_cam1(truth.times_s[[0, -1]])
     even_s: Array = np.arange(first_s, last_s, 1.0 / _RTK_HZ)
     nearest = np.searchsorted(truth.times_s, _RTK_CLOCK.cam1_from_cam2(even_s))
@@ -377,7 +372,7 @@ def rtk_of(truth: FlightTruth, flight: int) -> SpacePath:
 
 def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
     """Give the three cameras' intrinsics as a calibration would: with its errors."""
-    rng = np.random.default_rng([_STREAM, seed_of(flight), 1])
+    rng = np.random.default_rng([_STREAM, FIRST_SEED + flight, 1])
     cameras = []
     for _ in range(3):
         focal_px = float(config.focal_px * (1.0 + rng.normal(0.0, FOCAL_STD)))
@@ -427,7 +422,7 @@ def drone_events(
     width, height = recorded.width, recorded.height
     assert width is not None  # our own files have both
     assert height is not None
-    drawn_by = generator(seed_of(flight), _STREAM, 2, camera)
+    drawn_by = generator(FIRST_SEED + flight, _STREAM, 2, camera)
     sky = clouds(View(width, height, duration_s), CLOUDS_PX_S, drawn_by)
     runs = Clock(0.0, skew_ppm, t_ref_s)
     sky["t"] = np.rint(1e6 * runs.cam2_from_cam1(1e-6 * sky["t"]))
