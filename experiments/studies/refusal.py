@@ -4,11 +4,9 @@ A method may refuse, in whole or in part; what it must not do is to give a confi
 Flight 1000 + 100 k + i is the i-th of the k-th kind of flight: these are in no table and no other
 study, and no threshold was set on them. The angles change from flight to flight.
 
-`worlds.open_flights` states for each cause which refusals name it. The advice is read from the
-reason: each phrase of ADVICE stands for one change of the recording or of the options. The phrases
-of a reason are tried in order, as by a user, until there is an answer, which must be right.
-Recording i of base b is flight 60,000 + 100 b + i, in no table and no other study. Words and rules
-were settled on bases 1, 2 and 20.
+The phrases of advice in a reason are tried in order, as by a user, until there is an answer, which
+must be right. Recording i of base b is flight 60,000 + 100 b + i, in no table and no other study.
+Words and rules were settled on bases 1, 2 and 20.
 """
 
 import re
