@@ -157,7 +157,8 @@ class Study:
             if default is Parameter.empty:
                 words.append(str(value))
             elif value != default:
-                words += [f"--no-{flag}"] if value is False else [f"--{flag}", str(value)]
+                words.append(f"--no-{flag}" if value is False else f"--{flag}")
+                words += [] if isinstance(value, bool) else [str(value)]
         return " ".join([*words, *([f"--shard {shard[0]}/{shard[1]}"] if shard != WHOLE else [])])
 
 

@@ -165,6 +165,8 @@ def test_tables_of_the_bench_share_recordings_and_a_trial_run_says_that_it_has_f
         assert len(of_places) == len(dict(of_places))
         assert study.command_line({"recordings": None}) == "ssac physical"
         assert study.command_line({"recordings": 1}) == "ssac physical --recordings 1"
+    line = STUDIES["by_hand"].command_line({"first": 9, "every": True})
+    assert line == "ssac by-hand --first 9 --every"
 
 
 def test_a_ratio_and_its_inverse_are_the_same_cameras_with_their_lights_swapped() -> None:
