@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ssac.arrays import Array, Events, Indices, IntArray, Pixels
+from ssac.arrays import Array, Events, Indices, IntArray
 from ssac.errors import SsacError
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -108,37 +108,23 @@ def check_events(events: Events, width: int | None, height: int | None, name: st
     if len(events) == 0:
         raise SsacError(f"{name}: there are no events: record again, or check the right file")
     t = events["t"]
-    i, *largest = _look_through(t, events["x"], events["y"], events["p"])
-    if i < len(t):
+    is_back = t[1:] < t[:-1]
+    if is_back.any():
+        i = int(np.argmax(is_back)) + 1
         if wrapped(t[i - 1] / US_PER_S, t[i] / US_PER_S):
             raise SsacError(f"{name}: {wrap_message(f'event {i}')}")
         raise SsacError(
             f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
             f"{t[i - 1]} us: copy or record it again if it is damaged, and sort it if it is not"
         )
-    for field, size, most in zip("xy", (width, height), largest, strict=False):
-        if size is not None and most >= size:
+    for field, size in (("x", width), ("y", height)):
+        if size is not None and (most := events[field].max()) >= size:
             raise SsacError(
                 f"{name}: the sensor is {width} x {height} px, but there is an event at {field} = "
                 f"{most}: give the size of the camera that recorded the events"
             )
-    if largest[2] > 1:
-        raise SsacError(f"{name}: polarity must be 0 or 1, got {largest[2]}: convert the file")
-
-
-@numba.njit(cache=True)
-def _look_through(
-    t: IntArray, x: Pixels, y: Pixels, p: NDArray[np.uint8]
-) -> tuple[int, int, int, int]:
-    """Return the index of the first event earlier than the one before it, or n; largest x, y, p."""
-    largest_x, largest_y, largest_p = x[0], y[0], p[0]
-    first = len(t)
-    for i in range(len(t)):
-        largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
-        largest_p = max(largest_p, p[i])
-        if i > 0 and t[i] < t[i - 1]:
-            first = min(first, i)
-    return first, largest_x, largest_y, largest_p
+    if (most := events["p"].max()) > 1:
+        raise SsacError(f"{name}: polarity must be 0 or 1, got {most}: convert the file")
 
 
 def copied(events: Events) -> Events:
