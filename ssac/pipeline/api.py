@@ -25,7 +25,7 @@ from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput, kind_of
 from ssac.pipeline.registry import OURS, EstimateFunction, choose_method
-from ssac.pipeline.report import html_of, report_json, report_rows, report_text
+from ssac.pipeline.report import html_of, report_json, report_rows, text_of
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
@@ -57,7 +57,7 @@ class Result:
 
     def summary(self) -> str:
         """Return the result as text for people, as `ssac sync` prints it."""
-        return report_text(self.answer)
+        return text_of(report_rows(self.answer))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a dictionary, as `ssac sync --json` writes it."""

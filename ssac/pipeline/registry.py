@@ -148,9 +148,7 @@ def _text(value: Any) -> str:
     return value
 
 
-def _array(value: Any) -> Array:
-    return np.asarray(value, np.float64)
-
+_array = partial(np.asarray, dtype=np.float64)
 
 _TYPES: dict[Any, tuple[Callable[[Any], Any], str]] = {
     float: (float, "one number"),

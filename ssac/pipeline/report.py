@@ -25,11 +25,6 @@ Rows = Sequence[tuple[str, str]]  # pairs of a name, which may be empty, and a v
 _NAME = 15  # columns of a row's name
 
 
-def report_text(answer: Answer) -> str:
-    """Return an answer as text for people, with the sign of the offset in words."""
-    return text_of(report_rows(answer))
-
-
 def report_rows(answer: Answer) -> Rows:
     """Return an answer as rows for people, whose long values are not yet folded."""
     estimate, rows = answer.estimate, list[tuple[str, str]]()

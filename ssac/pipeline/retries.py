@@ -239,14 +239,12 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Iterator[tup
 
 
 def _known_to(rig: Rig, focal: float, centre_px: float) -> Rig:
-    cam1, cam2 = (_camera_known_to(camera, focal, centre_px) for camera in (rig.cam1, rig.cam2))
-    return replace(rig, cam1=cam1, cam2=cam2)
+    def known_to(camera: Camera) -> Camera:
+        least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
+        stds_px = np.maximum(camera.intrinsics_std_px, least_px)
+        return replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
 
-
-def _camera_known_to(camera: Camera, focal: float, centre_px: float) -> Camera:
-    least_px = with_deviations(camera, focal, centre_px).intrinsics_std_px
-    stds_px = np.maximum(camera.intrinsics_std_px, least_px)
-    return replace(camera, intrinsics_std_px=tuple(stds_px.tolist()))
+    return replace(rig, cam1=known_to(rig.cam1), cam2=known_to(rig.cam2))
 
 
 def usual_mistake(

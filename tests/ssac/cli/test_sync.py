@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac import Clock, PointTrack, Status, load_events, load_rig, sync
+from ssac import Clock, PointTrack, Result, Status, load_events, load_rig, sync
 from ssac.cli.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.network.tum import Path, read_path, write_path
 from ssac.pipeline.many import short_names
 from ssac.pipeline.plots import d_avg_px
-from ssac.pipeline.report import report_text
 from tests.recorded import T_D_S
 from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import flight, mixed
@@ -178,7 +177,7 @@ def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
     answer = sync(*short, pair / "rig.yaml").answer
     assert answer.estimate.status == Status.TOO_LITTLE_MOTION
     assert answer.guess is None
-    assert "too_little_motion" in report_text(answer)
+    assert "too_little_motion" in Result(answer).summary()
 
 
 def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):

@@ -28,7 +28,7 @@ from ssac.pipeline.html_report import report_page, seen_by
 from ssac.pipeline.many import write_two
 from ssac.pipeline.opened import NOTHING, opened, opened_rig
 from ssac.pipeline.registry import METHODS
-from ssac.pipeline.report import report_json, report_rows, report_text
+from ssac.pipeline.report import report_json, report_rows
 from ssac.pipeline.retries import TINY
 from ssac.pipeline.streams import scene_of_two, streams
 from ssac.search.all_offsets import AllOffsets, Guess
@@ -60,7 +60,7 @@ def changed(answer, **changes):
 def told(answer, **changes):
     """Return the text and the JSON report of an answer whose estimate is changed."""
     other = changed(answer, **changes)
-    return report_text(other), report_json(other)
+    return ssac.Result(other).summary(), report_json(other)
 
 
 def used(answer, *objects):
@@ -113,7 +113,7 @@ def test_clocks_are_told(answer, tmp_path):
     assert report["clock_knots"][1] == {"t_s": 5.0, "stray_s": -0.002, "std_s": 1e-4}
     jump = ClockJump(3.0, 0.02, np.nan, 0.05, 0.07)  # a large jump's size has no deviation
     jumping = replace(answer, estimate=Estimate("joint", "clock_jump", "so it is", jump=jump))
-    assert report_text(jumping).startswith("no estimate    clock_jump: so")
+    assert ssac.Result(jumping).summary().startswith("no estimate    clock_jump: so")
     report = report_json(jumping)
     assert report["clock_jump"] == vars(jump) | {"size_std_s": None}
     assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
@@ -162,7 +162,7 @@ def test_a_search_of_all_offsets_without_an_answer_is_said_to_be_of_all():
 
 
 def test_clutter_is_told(answer):
-    assert "clutter" not in report_text(answer)
+    assert "clutter" not in ssac.Result(answer).summary()
     plain = report_json(answer)["clutter"]
     assert [camera["masked_pixels"] for camera in plain] == [0, 0]
     assert [(camera["n_neighbours"], camera["n_min"]) for camera in plain] == [(20, 200)] * 2
@@ -188,21 +188,21 @@ def test_clutter_is_told(answer):
 
 
 def test_a_start_that_is_the_answer_is_called_so(result):
-    assert "tangents to the outline" in report_text(result.answer)
-    text = report_text(replace(result.answer, of_start=TINY))
+    assert "tangents to the outline" in ssac.Result(result.answer).summary()
+    text = ssac.Result(replace(result.answer, of_start=TINY)).summary()
     assert "note           the object is too small for an outline" in text
     assert "pairs of positions used, of 400 sample times" in text
 
 
 def test_several_things_are_told(answer):
     assert report_json(answer)["objects"] == [{"seen": 1, "share": 1.0}] * 2
-    assert "objects" not in report_text(answer)
+    assert "objects" not in ssac.Result(answer).summary()
     crowded = used(answer, ObjectsUsed(3, 0.25), ObjectsUsed(1, 1.0))
     row = "objects        camera 1 sees 3, 25 % of its events used; camera 2 sees 1, 100 % of"
-    assert row in report_text(crowded)
+    assert row in ssac.Result(crowded).summary()
     assert report_json(crowded)["objects"][0] == {"seen": 3, "share": 0.25}
     refused = used(answer, ObjectsUsed(3, 0.0), ObjectsUsed(2, 0.0))
-    assert "objects        camera 1 sees 3; camera 2 sees 2\n" in report_text(refused)
+    assert "objects        camera 1 sees 3; camera 2 sees 2\n" in ssac.Result(refused).summary()
     # A method that does not select an object reports no objects.
     assert report_json(replace(answer, method=METHODS["albl"]))["objects"] is None
 
@@ -315,10 +315,10 @@ def test_page_terminal_and_json_say_the_same_of_length_and_skew(result):
     near = replace(skewed, distance_m=7.07)
     for answer, words in ((result.answer, "of unknown length"), (near, "7.07 m long as stated")):
         text = "".join(check_page(page_of(answer)).text)
-        assert (words in text, words in report_text(answer)) == (True, True)
+        assert (words in text, words in ssac.Result(answer).summary()) == (True, True)
     vector = ", ".join(f"{value:.4f}" for value in 7.07 * result.t)
-    assert f"t = ({vector}) m, 7.07 m long as stated" in report_text(near)
-    assert "camera 2 lies at (" in report_text(near)
+    assert f"t = ({vector}) m, 7.07 m long as stated" in ssac.Result(near).summary()
+    assert "camera 2 lies at (" in ssac.Result(near).summary()
     report = report_json(near)
     assert (report["distance_m"], report["t"]) == (7.07, result.t.tolist())
     unsure = "".join(check_page(page_of(changed(near, covariance=None))).text)
@@ -327,7 +327,7 @@ def test_page_terminal_and_json_say_the_same_of_length_and_skew(result):
     assert "runs fast" not in text
     # A rate that was searched, of clocks whose skew has a prior of 0, has no deviation.
     searched = changed(result.answer, t_ref_s=2.5, skew_ppm=8.8, skew_std_ppm=0.0)
-    for text in (page_of(searched), report_text(searched)):
+    for text in (page_of(searched), ssac.Result(searched).summary()):
         assert "+8.8 ppm" in text
         assert "camera 2's clock runs fast" in unescape(text)
         assert "1 sigma 0.0 ppm" not in text
