@@ -1,11 +1,15 @@
-"""The files that `ssac sync` writes, and the options that set the scale and the frame."""
+"""The files that `ssac sync` writes, and the options that set the scale and the frame.
+
+`given` holds all options of the command by the names of its table.
+"""
 
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,42 +35,30 @@ if TYPE_CHECKING:
 PAGE_SUFFIXES = (".html", ".htm")
 
 
-@dataclass(frozen=True)
-class Outputs:
-    """Paths to write to, named like the command's options; None: not asked for."""
-
-    json_file: Path | None
-    plot: Path | None  # a folder, or one file for all figures
-    write_synced: Path | None  # camera 2's events or track on camera 1's clock
-    trajectory: Path | None  # the object's path
-    write_rig: Path | None  # the rig with the pose found
-    report: Path | None  # an HTML page
-
-
-def check_outputs(cameras: Sequence[Path], others: Sequence[Path], outputs: Outputs) -> None:
+def check_outputs(cameras: Sequence[Path], rig: Path, given: SimpleNamespace) -> None:
     """Raise SsacError for outputs, numbered ones too, that cannot be written or are inputs."""
-    n = len(cameras)
-    synced, plot, rig = outputs.write_synced, outputs.plot, outputs.write_rig
+    n, synced, plot = len(cameras), given.write_synced, given.plot
     if synced is not None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(cameras[1]) else WRITTEN)
-    if rig is not None:
-        check_written(rig, RIG_SUFFIXES)
-    if outputs.report is not None:
-        check_written(outputs.report, PAGE_SUFFIXES)
-    files = [outputs.json_file, synced, outputs.trajectory, rig, outputs.report]
-    if outputs.trajectory is not None:  # a path for each group of cameras
-        files += [numbered_file(outputs.trajectory, k) for k in range(2, n // 2 + 1)]
+    if given.write_rig is not None:
+        check_written(given.write_rig, RIG_SUFFIXES)
+    if given.report is not None:
+        check_written(given.report, PAGE_SUFFIXES)
+    files = [given.json_file, synced, given.trajectory, given.write_rig, given.report]
+    if given.trajectory is not None:  # a path for each group of cameras
+        files += [numbered_file(given.trajectory, k) for k in range(2, n // 2 + 1)]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         pairs = [f"{a}-{b}" for a, b in combinations(range(1, n + 1), 2)]
         files += [plot] if n == 2 else [numbered_file(plot, pair) for pair in pairs]
     elif plot is not None:
         check_figures(plot)
-    check_targets(files, [file_of(path) for path in (*cameras, *others)])
+    inputs = *cameras, rig, *filter(None, (given.positions, given.rtk))
+    check_targets(files, [file_of(path) for path in inputs])
 
 
 def write_outputs(
     result: "Result | NetworkResult",
-    outputs: Outputs,
+    given: SimpleNamespace,
     cam2: Path,
     reading: Reading,
     known: Known,
@@ -78,23 +70,23 @@ def write_outputs(
     def tell(line: str) -> None:
         log("\n".join(folded(line, columns(sys.stderr), len("wrote "))))
 
-    if outputs.json_file is not None:
-        save_json(outputs.json_file, result.to_dict())
-        tell(f"wrote {outputs.json_file}")
-    synced, trajectory, rig = outputs.write_synced, outputs.trajectory, outputs.write_rig
+    if given.json_file is not None:
+        save_json(given.json_file, result.to_dict())
+        tell(f"wrote {given.json_file}")
+    synced, trajectory, rig = given.write_synced, given.trajectory, given.write_rig
     if synced is not None and isinstance(result, Result):  # with more cameras the option is refused
         if result.estimate.has_offset:
             with clock.part("write") as say:
                 say(_write_synced(synced, result.estimate, cam2, reading))
         else:
             tell(f"not written: {synced}, since there is no reliable offset")
-    if outputs.plot is not None:
+    if given.plot is not None:
         with clock.part("draw") as say:
-            drawn = result.plotted(outputs.plot)
+            drawn = result.plotted(given.plot)
             say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
-    if outputs.report is not None:
+    if given.report is not None:
         with clock.part("report") as say:
-            say(str(result.report(outputs.report, shlex.join(["ssac", *sys.argv[1:]]))))
+            say(str(result.report(given.report, shlex.join(["ssac", *sys.argv[1:]]))))
     if trajectory is not None or rig is not None:  # last, as RTK may contradict the path
         from ssac.pipeline.many import write_many, write_two
 
@@ -116,15 +108,11 @@ def _write_synced(file: Path, estimate: Estimate, cam2: Path, reading: Reading) 
     return str(file) if is_sure else f"{file}, by an offset of unknown accuracy"
 
 
-def known_of(
-    distance_m: float | None,
-    positions: Path | None,
-    rtk: Path | None,
-    lever_arm_m: tuple[float, float, float] | None,
-) -> Known:
+def known_of(given: SimpleNamespace) -> Known:
     """Collect the options that set scale and frame; check their files before hours of work."""
-    given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
-    names = [name for name, value in given.items() if value is not None]
+    positions, rtk, lever_arm_m = given.positions, given.rtk, given.lever_arm
+    scales = {"--distance": given.distance, "--positions": positions, "--rtk": rtk}
+    names = [name for name, value in scales.items() if value is not None]
     if len(names) > 1:
         raise SsacError(
             f"{names[0]}: not with {names[1]}, as each sets the scale: give the better one alone"
@@ -139,4 +127,4 @@ def known_of(
         from ssac.network.ground import check_rtk
 
         check_rtk(rtk, lever_arm_m)
-    return Known(distance_m, positions, rtk, lever_arm_m)
+    return Known(given.distance, positions, rtk, lever_arm_m)

@@ -191,7 +191,7 @@ def sync_command(
     _check_search(given)
     if given.open_report and given.report is None:
         raise SsacError("--open: opens the page of --report: give that too, or leave it out")
-    from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs
+    from ssac.cli.outputs import check_outputs, known_of, write_outputs
     from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
     from ssac.pipeline.api import sync
@@ -208,10 +208,9 @@ def sync_command(
         rig = cam1 / ("rig_extrinsics.yaml" if has_pose else "rig.yaml")
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config, log = shared.config_of(OPTIONS, options), partial(typer.echo, err=True)
-    outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})
     with warnings_as_lines(), compilation_told():
-        check_outputs(files, [rig, *filter(None, (given.positions, given.rtk))], outputs)
-        known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
+        check_outputs(files, rig, given)
+        known = known_of(given)
         _check_suits(given, has_more)
         result = sync(
             files,
@@ -230,7 +229,7 @@ def sync_command(
         try:
             typer.echo(result.summary())
         finally:  # nobody may read it, and the files are asked for
-            write_outputs(result, outputs, files[1], reading, known, log)
+            write_outputs(result, given, files[1], reading, known, log)
         if given.open_report:
             webbrowser.open(given.report.resolve().as_uri())
     if result.status != "ok":
