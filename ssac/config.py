@@ -197,7 +197,6 @@ def validated(config: Config | None) -> Config:
 
 
 def _are_bounds(bounds: object) -> bool:
-    """Whether these are two finite numbers, the smaller one first."""
     if not (isinstance(bounds, (tuple, list)) and len(bounds) == 2 and all(map(is_number, bounds))):
         return False
     return bool(np.isfinite(bounds).all() and bounds[0] < bounds[1])

@@ -717,7 +717,6 @@ def check_rules(rules: object) -> None:
 
 
 def _check_part(name: str, kind: Any, value: Any) -> None:
-    """Check one rule, or all of a group of rules."""
     if isinstance(kind, type) and is_dataclass(kind):
         if not isinstance(value, kind):
             raise SsacError(f"{name}: expected {kind.__name__}, got {value!r}")

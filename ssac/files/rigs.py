@@ -166,7 +166,6 @@ def _length_unit(unit: Any, name: str) -> str:
 
 
 def _camera_from_kalibr(name: str, entry: Any) -> Camera:
-    """Return the camera of one entry of a camchain; error messages start with `name`."""
     keys = ("camera_model", "intrinsics", "distortion_model", "resolution")
     missing = [key for key in keys if not isinstance(entry, Mapping) or key not in entry]
     if missing:

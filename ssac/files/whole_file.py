@@ -189,7 +189,6 @@ def _idle_s(path: Path) -> float:
 
 
 def _runs(process: int) -> bool:
-    """Whether the process with this id on this host still runs."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

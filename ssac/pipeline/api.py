@@ -265,7 +265,6 @@ def sync(
 
 
 def _config_of(config: Config | None, fields: dict[str, Any]) -> Config:
-    """Return a config with some fields replaced; SsacError for an unknown field."""
     config = Config() if config is None else config
     if not isinstance(config, Config):
         raise SsacError(f"config: expected a ssac.Config, got {kind_of(config)}")

@@ -398,18 +398,11 @@ class Chain:
         return Answer(found, *made_from, seconds=seconds)
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
-        """Make an answer of the refusal of a stage before the method."""
-        estimate = Estimate(
-            pair.method.name,
-            refusal.status,
-            refusal.reason,
-            refusal.t_d_s,
-            alternatives_s=np.array(refusal.alternatives_s),
-        )
+        said = vars(refusal) | {"alternatives_s": np.array(refusal.alternatives_s)}
         if pair.start is not None:
             found = pair.start.found
-            estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
-        return self._answer(pair, estimate)
+            said |= {"candidates_s": found.candidates_s, "costs": found.costs}
+        return self._answer(pair, Estimate(pair.method.name, **said))
 
     def _given(self, method: Method, k: int) -> Clean:
         """Return a camera's recording for a method: cleaned, unless the method takes frames."""

@@ -180,7 +180,6 @@ def _kind(status: str, has_some: bool) -> str:
 
 
 def _cards(answer: Answer) -> list[Card]:
-    """Return the cards of the main results for two cameras."""
     estimate, R, t = answer.estimate, answer.estimate.R, answer.estimate.t
     if not estimate.has_offset:
         if not np.isfinite(estimate.t_d_s):

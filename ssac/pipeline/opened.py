@@ -249,7 +249,6 @@ def _opened(
 def _of_file(
     file: EventFile, camera: Camera, camera_name: str, name: str, reading: Reading
 ) -> Observation:
-    """Return the events of a file as an observation, checked against a camera."""
     events = file.events
     check_event_array(events, name)
     check_resolution(camera, file.width, file.height, camera_name, name)

@@ -1,11 +1,8 @@
 """Figures of an estimate, over the events that it was made from.
 
-    search      d_avg over the search interval and near its minimum, as the paper's Fig. 5
-    epipolar    p1, p2, the line l1 and the distance d, as the paper's Fig. 4, before and after
-    comparison  an estimated path beside a reference, as the paper's Fig. 7
-
-"Before" pairs equal readings of both clocks, "after" pairs readings that differ by t_d. The colours
-are P. Tol's high-contrast set, which stays apart in grey and for colour-blind people.
+Fig. 4, 5 and 7 are the paper's. "Before" pairs equal readings of both clocks, "after" pairs
+readings that differ by t_d. The colours are P. Tol's high-contrast set, which stays apart in grey
+and for colour-blind people.
 """
 
 from collections.abc import Callable
@@ -156,7 +153,7 @@ def has_costs(answer: Answer) -> bool:
 
 
 def draw_search(canvas: Canvas, answer: Answer) -> None:
-    """Draw the cost over the search interval, and near its minimum where the method has an F."""
+    """Draw the cost over the search, and near its minimum where there is an F, as in Fig. 5."""
     whole, *rest = canvas.subplots(1, 1 + has_fit(answer), squeeze=False)[0]
     draw_costs(whole, answer)
     whole.set_title("Over the search interval")
@@ -214,7 +211,7 @@ def draw_minimum(axes: Axes, answer: Answer, fit: Fit | None) -> None:
 
 
 def draw_epipolar(canvas: Canvas, answer: Answer) -> None:
-    """Draw both cameras' events around one instant, with p1, p2, l1 and d."""
+    """Draw both cameras' events around one instant, with p1, p2, l1 and d, as in Fig. 4."""
     F, views = np.asarray(answer.estimate.F), answer.paired
     time_s, pairings = _instant_of(answer)
     at_s = np.array([time_s])
@@ -334,7 +331,7 @@ def _draw_events(axes: Axes, answer: Answer, camera: int, time_s: float, reach_p
 
 
 def draw_comparison(comparison: "Comparison") -> Figure:
-    """Draw both paths in space and, where there are times, x, y and z with their differences."""
+    """Draw both paths in space, as in Fig. 7, and with times x, y, z and their differences."""
     in_time = comparison.in_time
     page = Figure(figsize=(6.0 if in_time is None else 12.0, 6.5), layout="constrained")
     if in_time is None:

@@ -244,7 +244,6 @@ def _method_from(entry: EntryPoint) -> Method:
 
 
 def _origin(entry: EntryPoint) -> str:
-    """Name an entry point for an error message."""
     return f"{_distribution(entry)} (entry point {entry.name} = {entry.value})"
 
 

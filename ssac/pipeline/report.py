@@ -167,7 +167,6 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def _skew_rows(answer: Answer) -> list[tuple[str, str]]:
-    """Rows on the skew, where it was estimated."""
     estimate, std_ppm = answer.estimate, answer.estimate.skew_std_ppm
     runs = how_it_runs(estimate)
     if not runs:
@@ -201,7 +200,6 @@ def how_it_runs(estimate: Estimate) -> str:
 
 
 def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
-    """Row on the rolling shutters that were estimated."""
     readouts = zip(estimate.readouts_s, estimate.readouts_std_s, strict=True)
     found = [
         f"camera {number} {1e3 * readout_s:.1f} ms, 1 sigma {1e3 * std_s:.1f} ms"
