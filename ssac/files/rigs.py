@@ -111,17 +111,6 @@ def camchain_entry(camera: Camera) -> dict[str, Any]:
     return entry
 
 
-def check_resolution(
-    camera: Camera, width: int | None, height: int | None, camera_name: str, events_name: str
-) -> None:
-    """Raise SsacError if the recording's size [px] is known and is not that of the calibration."""
-    if width not in (None, camera.width) or height not in (None, camera.height):
-        raise SsacError(
-            f"{camera_name} is calibrated at {camera.width} x {camera.height} px, but "
-            f"{events_name} was recorded at {width} x {height} px: give the rig of this recording"
-        )
-
-
 def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig:
     keys = document if isinstance(document, Mapping) else ()
     known = [key for key in keys if re.fullmatch(r"cam\d+", str(key))]

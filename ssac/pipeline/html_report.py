@@ -55,7 +55,6 @@ def report_page(
     """
     cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
-    models = [answers[0, 1].rig.cam1, *(answers[0, k].rig.cam2 for k in range(1, len(cameras)))]
     return (
         environment()
         .get_template("report.html")
@@ -79,7 +78,7 @@ def report_page(
                 for (a, b), answer in answers.items()
             ],
             samples=sample_charts(cameras, max(300, 2 * _MOST_DOTS // len(cameras))),
-            cameras=list(zip(cameras, models, strict=True)),
+            cameras=cameras,
             of_events=any(isinstance(seen.motion, ObjectMotion) for seen in cameras),
             rig=answers[0, 1].rig_name,
             command=command,

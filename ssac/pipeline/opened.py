@@ -19,7 +19,7 @@ from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_event_array, check_events, events_of_array
 from ssac.files.damage import STRICT, Reading, check_is_file, note_unit, within
-from ssac.files.rigs import check_resolution, load_rig
+from ssac.files.rigs import load_rig
 from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import PointTrack, check_track
@@ -249,10 +249,14 @@ def _opened(
 def _of_file(
     file: EventFile, camera: Camera, camera_name: str, name: str, reading: Reading
 ) -> Observation:
-    events = file.events
+    events, (width, height) = file.events, (file.width, file.height)
     check_event_array(events, name)
-    check_resolution(camera, file.width, file.height, camera_name, name)
-    if file.width is None or file.height is None:
+    if width not in (None, camera.width) or height not in (None, camera.height):
+        raise SsacError(
+            f"{camera_name} is calibrated at {camera.width} x {camera.height} px, but {name} was"
+            f" recorded at {width} x {height} px: give the rig of this recording"
+        )
+    if width is None or height is None:
         events = within(events, (camera.width, camera.height), name, reading)
         check_events(events, camera.width, camera.height, f"{name} with {camera_name}")
     return Observation(events, name=name)
