@@ -22,15 +22,14 @@ from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.denoise import of_pixels
-from ssac.track.motion_kernels import (
-    HALF_US,
-    TIMES_BITS,
-    local_parabolas_at,
-    mean_times_us,
-    sharp_centres,
-    sum_up,
-    window_sums,
-)
+from ssac.track.motion_kernels import local_parabolas_at, mean_times_us, sharp_centres, sum_up
+
+TIE_US = 1e-3
+"""A tolerance far above rounding errors of times in seconds, far below the step of even samples:
+to which microsecond or event a time half-way is rounded must not depend on the clock's zero."""
+
+HALF_US = 0.5 + TIE_US
+"""Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +88,6 @@ class ObjectMotion:
     times_us: IntArray  # (n,) [us], sorted
     position_sums_px: Array  # (n + 1, 2) of undistorted coordinates [px]
     border_sums: Int32Array  # (n + 1,) of events on the border
-    time_sums_us: IntArray  # [us] of times since the first, before every 2**TIMES_BITS-th event
-    slice_bits: int  # the recording is cut into slices of 2**slice_bits us
-    slice_starts: Int32Array  # (s + 1,) index of the first event in each slice, then n
     half_window_s: float = 0.020  # [s] on each side of a sample time
     n_min: int = 200  # events a valid sample's window holds at least
     max_border_fraction: float = 0.05  # of a valid sample's events may lie on the border
@@ -127,18 +123,14 @@ class ObjectMotion:
         A sample is valid when its window holds at least `n_min` events, of which at most
         `max_border_fraction` lie on the border (Sec. IV-A), and does not reach into a gap.
         """
-        sliced = self.times_us, self.slice_bits, self.slice_starts
-        sums = self.position_sums_px, self.border_sums
-        n = times_s.shape[-1] if times_s.ndim else 1
-        positions_px, counts, on_border = window_sums(
-            sliced, sums, times_s.ravel(), self.half_window_s, n
-        )
+        # Column by column, as neighbouring offsets' events lie side by side in memory.
+        columns_s = np.ascontiguousarray(times_s.T)
+        first, last = (np.ascontiguousarray(self._indices(columns_s, k).T) for k in (-1, +1))
+        counts, on_border = last - first, self.border_sums[last] - self.border_sums[first]
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
-            valid &= ~self._reach_into_gaps(times_s.ravel())
-        shape = times_s.shape
-        positions_px = positions_px.reshape(*shape, 2)
-        return Track(times_s, positions_px, counts.reshape(shape), valid.reshape(shape))
+            valid &= ~self._reach_into_gaps(times_s)
+        return Track(times_s, self._mean_positions(first, last), counts, valid)
 
     def centred_at(self, times_s: Array) -> Track:
         """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
@@ -154,7 +146,7 @@ class ObjectMotion:
         return replace(track, positions_px=positions, valid=track.valid & known)
 
     def velocities_at(self, times_s: Array) -> Array:
-        """Image velocity (..., 2) [px/s] at times (...,) [s].
+        """Image velocity (n, 2) [px/s] at times (n,) [s].
 
         The difference between the mean positions in the two halves of the window, over the
         difference between their mean times; NaN when a half is empty.
@@ -162,7 +154,7 @@ class ObjectMotion:
         first, middle, last = (self._indices(times_s, side) for side in (-1, 0, +1))
         shift_px = self._mean_positions(middle, last) - self._mean_positions(first, middle)
         shift_s = self._mean_times(middle, last) - self._mean_times(first, middle)
-        return shift_px / shift_s[..., None]
+        return shift_px / shift_s[:, None]
 
     def sharp_at(self, times_s: Array) -> SharpTrack:
         """Sample the motion at times (n,) [s] in sharpened event images; not the paper's position.
@@ -193,7 +185,7 @@ class ObjectMotion:
         return SharpTrack(times_s, positions, track.counts, track.valid & moving, velocities, sizes)
 
     def _reach_into_gaps(self, times_s: Array) -> Mask:
-        """Whether the windows about times (n,) [s] hold a part of a gap."""
+        """Whether the windows about times (...,) [s] hold a part of a gap."""
         starts_us, ends_us = self.gaps_us.T
         half_us = 1e6 * self.half_window_s
         following = np.searchsorted(ends_us, 1e6 * times_s - half_us, side="right")
@@ -212,10 +204,8 @@ class ObjectMotion:
             return sums / (last - first)[..., None]
 
     def _mean_times(self, first: Indices, last: Indices) -> Array:
-        """Mean time (...,) [s], counted from the first event, of the same events."""
-        sums_us = self.times_us, self.time_sums_us
-        means_us = mean_times_us(*sums_us, first.ravel(), last.ravel())
-        return means_us.reshape(first.shape) * 1e-6
+        """Mean time (n,) [s], counted from the first event, of the same events."""
+        return mean_times_us(self.times_us, first, last) * 1e-6
 
 
 def object_motion(
@@ -234,23 +224,10 @@ def object_motion(
         ideal = undistortion_map(camera)
         known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
         events = events if known.all() else events.compress(known)
-    n, (slice_bits, n_slices) = len(events), _slices(events["t"])
-    times_us, position_sums_px = np.empty(n, np.int64), np.empty((n + 1, 2))
-    border_sums, slice_starts = np.empty(n + 1, np.int32), np.zeros(n_slices + 1, np.int32)
-    time_sums_us = np.empty((n >> TIMES_BITS) + 2, np.int64)
-    border = camera.width, camera.height, border_px
-    sums = times_us, position_sums_px, border_sums, time_sums_us
-    sum_up(events["t"], events["x"], events["y"], ideal, border, slice_bits, *sums, slice_starts)
-    return ObjectMotion(*sums, slice_bits, slice_starts, n_min=n_min)
-
-
-def _slices(times_us: IntArray) -> tuple[int, int]:
-    """Cut sorted times into slices of 2**bits us, of 4 events or more on average: bits, number."""
-    if len(times_us) == 0:
-        return 0, 0
-    length_us = int(times_us[-1]) - int(times_us[0])
-    bits = (length_us // (len(times_us) // 4 + 1)).bit_length()
-    return bits, (length_us >> bits) + 1
+    n, border = len(events), (camera.width, camera.height, border_px)
+    sums = np.empty((n + 1, 2)), np.empty(n + 1, np.int32)
+    sum_up(events["x"], events["y"], ideal, border, *sums)
+    return ObjectMotion(np.ascontiguousarray(events["t"]), *sums, n_min=n_min)
 
 
 @dataclass(frozen=True, eq=False)

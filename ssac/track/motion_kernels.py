@@ -5,46 +5,27 @@ import numpy as np
 
 from ssac.arrays import Array, Indices, Int32Array, IntArray, Pixels
 
-Sliced = tuple[IntArray, int, Int32Array]
-"""Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
-
-TIE_US = 1e-3
-"""A tolerance far above rounding errors of times in seconds, far below the step of even samples:
-to which microsecond or event a time half-way is rounded must not depend on the clock's zero."""
-
-HALF_US = 0.5 + TIE_US
-"""Added to a time [us] before it is rounded down, so that times half-way are rounded up."""
-
-TIMES_BITS = 6
-"""Sums of times are kept at every 2**TIMES_BITS-th event: at each they would take half as much
-memory as the events."""
-
 
 @numba.njit(cache=True)
 def sum_up(
-    t: IntArray,
     x: Pixels,
     y: Pixels,
     ideal: Array | None,
     border: tuple[int, int, int],
-    slice_bits: int,
-    times_us: IntArray,
     position_sums_px: Array,
     border_sums: Int32Array,
-    time_sums_us: IntArray,
-    slice_starts: Int32Array,
 ) -> None:
-    """Fill in the arrays of an `ObjectMotion` in one pass over n events.
+    """Fill in the sums of an `ObjectMotion` in one pass over n events.
 
     `ideal` (height, width, 2) holds the undistorted position of each pixel; None: no distortion.
     `border` is the sensor's width and height, and the width of its border [px]. The caller gives
-    the arrays, with all starts zero, as NumPy allocates them in large pages of memory, which Numba
-    does not: the first access to small pages takes as long as all else here.
+    the arrays, as NumPy allocates them in large pages of memory, which Numba does not: the first
+    access to small pages takes as long as all else here.
     """
     width, height, border_px = border
-    sum_x, sum_y, n_on_border, sum_us = 0.0, 0.0, 0, 0
-    position_sums_px[0, 0] = position_sums_px[0, 1] = border_sums[0] = time_sums_us[0] = 0
-    for i in range(len(t)):
+    sum_x, sum_y, n_on_border = 0.0, 0.0, 0
+    position_sums_px[0, 0] = position_sums_px[0, 1] = border_sums[0] = 0
+    for i in range(len(x)):
         column, row = np.int64(x[i]), np.int64(y[i])
         if ideal is None:
             sum_x, sum_y = sum_x + column, sum_y + row
@@ -53,86 +34,19 @@ def sum_up(
         position_sums_px[i + 1, 0], position_sums_px[i + 1, 1] = sum_x, sum_y
         n_on_border += bool(min(column, row, width - 1 - column, height - 1 - row) < border_px)
         border_sums[i + 1] = n_on_border
-        times_us[i] = t[i]
-        sum_us += t[i] - t[0]
-        time_sums_us[(i >> TIMES_BITS) + 1] = sum_us  # a block's last event writes last
-        slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # and a slice's
-    for k in range(1, len(slice_starts)):  # fills slices without events
-        slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
 
 
 @numba.njit(cache=True)
-def _first_from(time_us: np.int64, sliced: Sliced) -> int:
-    """Index of the first time from `time_us` on, as by np.searchsorted, but four times as fast."""
-    times_us, slice_bits, slice_starts = sliced
-    n_slices = len(slice_starts) - 1
-    if n_slices == 0 or time_us <= times_us[0]:
-        return 0
-    k = (time_us - times_us[0]) >> slice_bits
-    if k >= n_slices:
-        return len(times_us)
-    low, high = int(slice_starts[k]), int(slice_starts[k + 1])
-    while low < high:
-        middle = (low + high) >> 1
-        if times_us[middle] < time_us:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@numba.njit(cache=True)
-def window_sums(
-    sliced: Sliced,
-    sums: tuple[Array, Int32Array],
-    middles_s: Array,
-    half_window_s: float,
-    row_length: int,
-) -> tuple[Array, IntArray, IntArray]:
-    """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
-
-    Memory limits the speed, not arithmetic. Samples come in rows, one for each trial offset,
-    and are taken column by column: events of a column's windows lie side by side in memory.
-    """
-    position_sums_px, border_sums = sums
-    n = len(middles_s)
-    means = np.empty((n, 2))
-    counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
-    for column in range(row_length):
-        for i in range(column, n, row_length):
-            start_us = np.floor(1e6 * (middles_s[i] - half_window_s) + HALF_US)
-            end_us = np.floor(1e6 * (middles_s[i] + half_window_s) + HALF_US)
-            first = _first_from(np.int64(start_us), sliced)
-            last = _first_from(np.int64(end_us), sliced)
-            counts[i] = last - first
-            on_border[i] = border_sums[last] - border_sums[first]
-            for axis in range(2):
-                total = position_sums_px[last, axis] - position_sums_px[first, axis]
-                means[i, axis] = total / counts[i] if counts[i] > 0 else np.nan
-    return means, counts, on_border
-
-
-@numba.njit(cache=True)
-def mean_times_us(
-    times_us: IntArray, time_sums_us: IntArray, first: Indices, last: Indices
-) -> Array:
+def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
     """Mean (n,) [us] of times from `first` up to `last`, since the first of all; NaN of none."""
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
         if last[i] > first[i]:
-            total = _time_sum_us(times_us, time_sums_us, last[i])
-            total -= _time_sum_us(times_us, time_sums_us, first[i])
+            total = 0
+            for time_us in times_us[first[i] : last[i]]:
+                total += time_us - times_us[0]
             means[i] = total / (last[i] - first[i])
     return means
-
-
-@numba.njit(cache=True)
-def _time_sum_us(times_us: IntArray, time_sums_us: IntArray, n: int) -> int:
-    """Sum [us] of the first n times, since the first of all."""
-    total = int(time_sums_us[n >> TIMES_BITS])
-    for time_us in times_us[n >> TIMES_BITS << TIMES_BITS : n]:
-        total += time_us - times_us[0]
-    return total
 
 
 @numba.njit(cache=True)

@@ -21,8 +21,7 @@ from ssac.arrays import Array, Indices, Int32Array, IntArray, Mask
 from ssac.events import first_from
 from ssac.geometry.pose import Pencil
 from ssac.rules import OutlineRules
-from ssac.track.motion import ObjectMotion
-from ssac.track.motion_kernels import TIE_US
+from ssac.track.motion import TIE_US, ObjectMotion
 
 
 @dataclass(frozen=True)
