@@ -8,11 +8,10 @@ such as a branch in the wind, are left out.
 
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 from scipy.ndimage import binary_dilation, label, minimum_filter
 
-from ssac.arrays import Array, Events, Int32Array, IntArray, Mask, Pixels
+from ssac.arrays import Array, Events, Int32Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
 from ssac.rules import ObjectRules
@@ -124,27 +123,15 @@ def _blobs(
     kept = counts >= rules.least_blob_events
     bins, at_still, n = bins[kept], at_still[kept], counts[kept].astype(np.float64)
     labels = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)[labels]
-    sums, corners = _shapes(labels, events["x"], events["y"], len(n))
-    x, y, squares = sums / n
+    own = labels >= 0
+    k, u, v = labels[own], *(events[axis][own].astype(np.float64) for axis in "xy")
+    x, y, squares = (np.bincount(k, term, len(n)) / n for term in (u, v, u**2 + v**2))
     sizes = np.sqrt(np.maximum(squares - x**2 - y**2, 0.0))
+    corners = np.repeat([[np.inf, np.inf, -np.inf, -np.inf]], len(n), axis=0)
+    for column, places in enumerate((u, v)):
+        np.minimum.at(corners[:, column], k, places)
+        np.maximum.at(corners[:, 2 + column], k, places)
     return Blobs(bins, n, np.column_stack([x, y]), sizes, corners, at_still), labels, n_full
-
-
-@numba.njit(cache=True)
-def _shapes(labels: Int32Array, x: Pixels, y: Pixels, n_blobs: int) -> tuple[Array, Array]:
-    """Sum up x, y and their squares (3, k) [px] of each blob's events; find its corners (k, 4)."""
-    sums, corners = np.zeros((3, n_blobs)), np.empty((n_blobs, 4))
-    corners[:, :2], corners[:, 2:] = np.inf, -np.inf
-    for i in range(len(labels)):
-        k = labels[i]
-        if k < 0:
-            continue
-        u, v = float(x[i]), float(y[i])
-        for row, term in enumerate((u, v, u**2 + v**2)):
-            sums[row, k] += term
-        corners[k, 0], corners[k, 1] = min(corners[k, 0], u), min(corners[k, 1], v)
-        corners[k, 2], corners[k, 3] = max(corners[k, 2], u), max(corners[k, 3], v)
-    return sums, corners
 
 
 def _labelled(
