@@ -172,15 +172,14 @@ class _Blocks:
         config, usable = self.course.config, self.course.valid
         # The very highest value may be noise. Any rank lies inside the outline, the more so the
         # fewer events there are near it; the gap to a deeper rank tells how much.
-        tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + 2 * np.arange(len(usable)) - half
-        ranked, indices = ranked_in_windows(
-            tops, at, firsts, 2 * half, usable, config.rank, config.deeper_rank
-        )
-        ranked = np.arctan(ranked)
-        gaps = ranked[:, 0] - ranked[:, 1]
-        return ranked[:, 0] + config.outward * gaps, gaps, indices
+        starts, ends = self.bounds[firsts], self.bounds[firsts + 2 * half * usable]
+        tops, at = highest_in_windows(values, starts, ends, side, config.deeper_rank + 1)
+        is_full = tops[:, -1] > -np.inf
+        ranked = np.where(is_full, np.arctan(tops[:, [config.rank, -1]]).T, np.nan)
+        gaps = ranked[0] - ranked[1]
+        return ranked[0] + config.outward * gaps, gaps, np.where(is_full, at[:, config.rank], 0)
 
 
 def _ranked(
@@ -301,53 +300,22 @@ def angles_from_course(
 
 
 @numba.njit(cache=True)
-def highest_in_blocks(
-    values: Array, bounds: Indices, side: float, depth: int
+def highest_in_windows(
+    values: Array, starts: Indices, ends: Indices, side: float, depth: int
 ) -> tuple[Array, Indices]:
-    """Find the highest side * values of b blocks, descending: values and indices (b, depth).
+    """Find the highest side * values of n windows, descending: values and indices (n, depth).
 
-    Minus infinity where a block has fewer. NaN is never among them.
+    Minus infinity where a window has fewer. NaN is never among them.
     """
-    n = len(bounds) - 1
+    n = len(starts)
     tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
     for i in range(n):
         least = -np.inf
-        for k in range(bounds[i], bounds[i + 1]):
+        for k in range(starts[i], ends[i]):
             if side * values[k] > least:
                 _insert(side * values[k], k, tops[i], at[i])
                 least = tops[i, depth - 1] + _TIE
     return tops, at
-
-
-@numba.njit(cache=True)
-def ranked_in_windows(
-    tops: Array,
-    at: Indices,
-    firsts: Indices,
-    length: int,
-    usable: Mask,
-    rank: int,
-    deeper_rank: int,
-) -> tuple[Array, Indices]:
-    """Values (n, 2) of two ranks in windows of `length` blocks, and the index of the first's event.
-
-    NaN and 0 where a window is not usable or has fewer events.
-    """
-    n = len(firsts)
-    ranked, indices = np.full((n, 2), np.nan), np.zeros(n, np.intp)
-    top, top_at = np.empty(deeper_rank + 1), np.empty(deeper_rank + 1, np.intp)
-    for i in range(n):
-        if not usable[i]:
-            continue
-        top[:] = -np.inf
-        for block in range(firsts[i], firsts[i] + length):
-            for j in range(tops.shape[1]):
-                if not tops[block, j] > top[deeper_rank] + _TIE:
-                    break
-                _insert(tops[block, j], at[block, j], top, top_at)
-        if top[deeper_rank] > -np.inf:
-            ranked[i, 0], ranked[i, 1], indices[i] = top[rank], top[deeper_rank], top_at[rank]
-    return ranked, indices
 
 
 @numba.njit(cache=True)

@@ -14,7 +14,7 @@ from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
 from ssac.track.motion import motion_of, object_motion
 from ssac.track.objects import objects_of, seem_several
-from ssac.track.outline import highest_in_blocks, near_outline, tangents
+from ssac.track.outline import highest_in_windows, near_outline, tangents
 from ssac.track.thin_line import events_on_line
 from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, events_at, make_events, make_scene
@@ -99,14 +99,14 @@ def test_a_tangent_cut_off_by_the_border_is_invalid():
 
 def test_simultaneous_events_on_one_line_are_ranked_alike_whatever_rounding_does():
     # All events of a row have one angle: the choice among them must not depend on the last bit.
-    n, n_blocks = 400, 20
+    n, n_windows = 400, 20
     values = np.repeat(np.random.default_rng(0).normal(size=n // 4), 4)
-    bounds = np.linspace(0, n, n_blocks + 1).astype(np.intp)
+    bounds = np.linspace(0, n, n_windows + 1).astype(np.intp)
     for seed in range(5):
         noise = 1e-15 * np.random.default_rng(seed).normal(size=n)
         for side in (1.0, -1.0):
-            _, exact = highest_in_blocks(values, bounds, side, 9)
-            _, noisy = highest_in_blocks(values + noise, bounds, side, 9)
+            _, exact = highest_in_windows(values, bounds[:-1], bounds[1:], side, 9)
+            _, noisy = highest_in_windows(values + noise, bounds[:-1], bounds[1:], side, 9)
             np.testing.assert_array_equal(noisy, exact)
 
 
