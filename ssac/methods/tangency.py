@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 
 from ssac.arrays import Array
-from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Problem, Residuals, WeighedPairs, linearise, solve
 from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation, sampson_derivative
@@ -80,12 +79,10 @@ def tangents_under(
 
 
 def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
-    """Return both motions without lines that hold the object; SsacError for a track of points."""
-    one, other = views.motion1, views.motion2
-    if not (isinstance(one, ObjectMotion) and isinstance(other, ObjectMotion)):
-        raise SsacError(
-            "tangents are found among events, and a camera gave a track of points: use joint"
-        )
+    """Return both motions without lines that hold the object."""
+    one, other = views.motions
+    assert isinstance(one, ObjectMotion)  # a method that needs events gets no track of points
+    assert isinstance(other, ObjectMotion)
     return one.bare or one, other.bare or other
 
 
