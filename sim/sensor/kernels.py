@@ -87,84 +87,39 @@ def process_ideal(
     image, reference, up, down, high, low, eps, events, n,
 ):  # fmt: skip
     """Follow pixels that respond to light alone; see `sim.sensor.events.Sensor.feed`."""
-    k = 0
-    while True:
-        k, time_s, n = _follow_light(
-            k, times_s, x0_px, y0_px, luminance.shape[1], luminance.shape[2], image.shape[1],
-            luminance.reshape(-1), background.reshape(-1), time_s, box, image.reshape(-1),
-            reference.reshape(-1), up.reshape(-1), down.reshape(-1), high.reshape(-1),
-            low.reshape(-1), eps, events, n,
-        )  # fmt: skip
-        if k == times_s.size:
-            return events, n
-        events = grown(events)
-
-
-@njit(cache=True, nogil=True)
-def _follow_light(
-    first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
-    image, reference, up, down, high, low, eps, events, n,
-):  # fmt: skip
-    """Follow pixels from instant `first` on, all arrays flat, until the event buffer is full."""
-    # Returns the instant at which the buffer is full, the time [s] up to which all pixels were
-    # followed, and the number of events. A call from there, with more room, continues seamlessly.
-    row = np.empty(image_width, np.float32)
-    found = np.empty(image_width + 1, np.int64)
-    for k in range(first, times_s.size):
+    height, width = luminance.shape[1:]
+    for k in range(times_s.size):
         t0, t1 = time_s, times_s[k]
         cx0, cy0 = x0_px[k], y0_px[k]
         cx1, cy1 = cx0 + width, cy0 + height
         for y in range(min(cy0, box[1]), max(cy1, box[3])):
-            in_crop = cy0 <= y < cy1
-            # Pixels between box and crop, if there are any, are background before and after.
-            x0, x1 = image_width, np.int64(0)
-            if box[1] <= y < box[3]:
-                x0, x1 = box[0], box[2]
-            if in_crop:
-                x0, x1 = min(x0, cx0), max(x1, cx1)
-            if x0 >= x1:
-                continue
-            start = np.uint64(y * image_width + x0)
-            size = np.uint64(x1 - x0)
-            for i in range(np.uint64(0), size):
-                row[i] = background[start + i]
-            if in_crop:
-                source, left = np.uint64((k * height + y - cy0) * width), np.uint64(cx0 - x0)
-                for i in range(np.uint64(0), np.uint64(width)):
-                    row[left + i] = luminance[source + i]
-            n_found = np.uint64(0)
-            for i in range(np.uint64(0), size):
-                at = start + i
-                found[n_found] = i
-                n_found += np.uint64((row[i] > high[at]) | (row[i] < low[at]))
-            for j in range(np.uint64(0), n_found):
-                column = np.uint64(found[j])
-                at = start + column
-                i0, i1 = np.float64(image[at]), np.float64(row[column])
-                per_s = (t1 - t0) / (i1 - i0)
-                x = x0 + np.int64(column)
-                memory, step_up, step_down = reference[at], up[at], down[at]
-                above, below = high[at], low[at]
-                while i1 > above or i1 < below:
-                    if n == events.size:
-                        reference[at], high[at], low[at] = memory, above, below
-                        return k, time_s, n
-                    polarity = i1 > above
-                    memory *= step_up if polarity else step_down
-                    # The intensity at which the threshold is crossed.
-                    crossing = memory - eps
-                    e = np.uint64(n)
-                    events[e].t_s = min(max(t0 + (crossing - i0) * per_s, t0), t1)
-                    events[e].x, events[e].y, events[e].p = x, y, polarity
-                    n += 1
-                    above = np.float32(memory * step_up - eps)
-                    below = np.float32(memory * step_down - eps)
-                reference[at], high[at], low[at] = memory, above, below
-            for i in range(np.uint64(0), size):
-                image[start + i] = row[i]
+            in_rows = cy0 <= y < cy1
+            for x in range(min(cx0, box[0]), max(cx1, box[2])):
+                in_crop = in_rows and cx0 <= x < cx1
+                value = luminance[k, y - cy0, x - cx0] if in_crop else background[y, x]
+                if value > high[y, x] or value < low[y, x]:
+                    i0, i1 = np.float64(image[y, x]), np.float64(value)
+                    per_s = (t1 - t0) / (i1 - i0)
+                    memory, step_up, step_down = reference[y, x], up[y, x], down[y, x]
+                    above, below = high[y, x], low[y, x]
+                    while i1 > above or i1 < below:
+                        if n == events.size:
+                            events = grown(events)
+                        polarity = i1 > above
+                        memory *= step_up if polarity else step_down
+                        # The intensity at which the threshold is crossed.
+                        crossing = memory - eps
+                        event = events[n]
+                        event.t_s = min(max(t0 + (crossing - i0) * per_s, t0), t1)
+                        event.x, event.y, event.p = x, y, polarity
+                        n += 1
+                        above = np.float32(memory * step_up - eps)
+                        below = np.float32(memory * step_down - eps)
+                    reference[y, x], high[y, x], low[y, x] = memory, above, below
+                image[y, x] = value
         box[0], box[1], box[2], box[3] = cx0, cy0, cx1, cy1
         time_s = t1
-    return times_s.size, time_s, n
+    return events, n
 
 
 @njit(cache=True, nogil=True)
