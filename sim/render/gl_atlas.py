@@ -71,7 +71,7 @@ class GLPainter:
         corners: IntArray = np.stack([column * tile[0], row * tile[1]], axis=-1)
         # The last row of a matrix holds the tile's shift from the lattice, and its corner.
         matrices = views.T_C_P.copy()
-        origins = lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], size_px[1])
+        origins = lattice.tile_origin(corner_px, size_px[1])
         matrices[:, :, 3, :2] = (corners - origins)[:, None]
         matrices[:, :, 3, 2:] = corners[:, None]
         depth = views.depth_m[views.visible]

@@ -62,13 +62,6 @@ class Lattice:
         return q[np.all((twice_n_p >= -n) & (twice_n_p < n), axis=-1)]
 
     @cached_property
-    def pixel_columns(self) -> IntArray:
-        """The pixel's samples by lattice columns, (n, 3): column, first row, row after the last."""
-        u, v = self.pixel_samples.T
-        column, start, count = np.unique(u, return_index=True, return_counts=True)
-        return np.stack([column, v[start], v[start] + count], axis=-1)
-
-    @cached_property
     def centre(self) -> FloatArray:
         """Mean lattice position (2,) of a pixel's samples, where the pixel's centre must lie."""
         mean: FloatArray = self.pixel_samples.mean(axis=0)
@@ -76,20 +69,15 @@ class Lattice:
 
     def tile_size(self, width_px: int, height_px: int) -> tuple[int, int]:
         """Lattice (width, height) of the smallest tile that holds a crop of whole pixels."""
-        columns = self.pixel_columns
-        pixel_width = int(columns[-1, 0] - columns[0, 0]) + 1
-        pixel_height = int(columns[:, 2].max() - columns[:, 1].min())
-        return (
-            self.a * (width_px - 1) + self.b * (height_px - 1) + pixel_width,
-            self.b * (width_px - 1) + self.a * (height_px - 1) + pixel_height,
-        )
+        steps = np.abs(self.A) @ [width_px - 1, height_px - 1]
+        width, height = steps + np.ptp(self.pixel_samples, axis=0) + 1
+        return int(width), int(height)
 
-    def tile_origin(self, x0_px: IntArray, y0_px: IntArray, height_px: int) -> IntArray:
-        """Lattice coordinates (n, 2) of the first sample of tiles whose crops start at (x0, y0)."""
-        columns = self.pixel_columns
-        u0 = self.a * x0_px - self.b * (y0_px + height_px - 1) + columns[0, 0]
-        v0 = self.b * x0_px + self.a * y0_px + columns[:, 1].min()
-        return np.stack([u0, v0], axis=-1)
+    def tile_origin(self, corner_px: IntArray, height_px: int) -> IntArray:
+        """Lattice coordinates (..., 2) of the first sample of tiles whose crops start there."""
+        first = self.pixel_samples.min(axis=0) - np.array([self.b * (height_px - 1), 0])
+        origin: IntArray = corner_px @ self.A.T + first
+        return origin
 
 
 def average_tiles(
@@ -107,18 +95,14 @@ def average_tiles(
     """
     width, height = size_px
     luminance = np.empty((len(corners), height, width), np.float32)
-    columns, n_samples = _columns_in_tile(lattice, height), lattice.samples_per_pixel
-    for image, (column, row), (x0, y0) in zip(luminance, corners, corner_px, strict=True):
-        tile, behind = atlas[row:, column:], background[y0:, x0:]
-        _average_tile(tile, columns, lattice.a, lattice.b, n_samples, behind, image)
+    # Where samples of a tile's first pixel lie in the flat atlas, and those of the next pixels.
+    flat, stride = atlas.ravel(), np.array([1, atlas.shape[1]])
+    origin = lattice.tile_origin(np.zeros(2, np.int64), height)
+    samples, (right, down) = (lattice.pixel_samples - origin) @ stride, lattice.A.T @ stride
+    for image, corner, (x0, y0) in zip(luminance, corners, corner_px, strict=True):
+        at = samples + corner @ stride
+        _average_tile(flat, at, right, down, background[y0:, x0:], image)
     return luminance
-
-
-def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
-    """Return `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
-    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height_px)
-    columns: IntArray = lattice.pixel_columns - np.array([u0, v0, v0])
-    return columns
 
 
 @lru_cache(maxsize=64)
@@ -131,9 +115,13 @@ def runs_of_tile(
     samples; and each run's pixel, width * row + column, or width * height outside all pixels.
     """
     width, height = size_px
-    pixel_of = np.full(lattice.tile_size(width, height)[::-1], width * height, np.int32)
-    columns = _columns_in_tile(lattice, height)
-    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
+    v, u = np.indices(lattice.tile_size(width, height)[::-1])
+    q = np.stack([u, v], axis=-1) + lattice.tile_origin(np.zeros(2, np.int64), height)
+    # As in `pixel_samples`, rounded to the nearest pixel's centre.
+    n = lattice.samples_per_pixel
+    column, row = np.moveaxis((2 * (q @ lattice.A) + n) // (2 * n), -1, 0)
+    is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel_of = np.where(is_inside, width * row + column, width * height).astype(np.int32)
     is_first = np.ones(pixel_of.shape, np.bool_)
     is_first[:, 1:] = pixel_of[:, 1:] != pixel_of[:, :-1]
     start = np.flatnonzero(is_first)
@@ -142,26 +130,13 @@ def runs_of_tile(
 
 
 @njit(cache=True, nogil=True)
-def _number_samples(columns, a, b, width, height, pixel_of):
-    """Write each pixel's number at its samples, given those of the first pixel of the tile."""
-    for j in range(height):
-        for i in range(width):
-            for c in range(columns.shape[0]):
-                u = columns[c, 0] + a * i - b * j
-                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
-                    pixel_of[v, u] = width * j + i
-
-
-@njit(cache=True, nogil=True)
-def _average_tile(tile, columns, a, b, n_samples, background, luminance):
-    for j in range(luminance.shape[0]):
-        for i in range(luminance.shape[1]):
+def _average_tile(words, samples, right, down, background, image):
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
             total = np.int64(0)
-            for c in range(columns.shape[0]):
-                u = columns[c, 0] + a * i - b * j
-                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
-                    total += np.int64(tile[v, u])
-            luminance[j, i] = _mixed(total, n_samples, background[j, i])
+            for sample in samples:
+                total += np.int64(words[sample + right * i + down * j])
+            image[j, i] = _mixed(total, samples.size, background[j, i])
 
 
 @njit(cache=True, nogil=True)
@@ -182,21 +157,17 @@ def sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums):
         if low > high:
             continue
         touched[v, 0], touched[v, 1] = width, -1
-        here, end = v * width + low, v * width + high + 1
-        run = np.uint64(run_of[np.uint64(here)])
-        while here < end:
-            stop = min(np.int64(run_start[run + np.uint64(1)]), end)
-            n = stop - here
+        low, high = low + v * width, high + v * width
+        for run in range(np.uint64(run_of[low]), np.uint64(run_of[high] + 1)):
+            start = np.int64(run_start[run])
+            n = run_start[run + np.uint64(1)] - start
             total = np.int64(0)
             # The count is rounded up to whole LANES, which the processor does at a time.
             for lane in range((n + (LANES - 1)) & -LANES):
-                word = keys[np.uint64(here + lane)] & 0xFFFFFFFF
+                word = keys[np.uint64(start + lane)] & 0xFFFFFFFF
                 total += word if lane < n else np.int64(0)
             sums[np.uint64(run_pixel[run])] += total
-            run += np.uint64(1)
-            here = stop
-        for at in range(np.uint64(v * width + low), np.uint64(end)):
-            keys[at] = 0
+        keys[low : high + 1] = 0
 
 
 @njit(cache=True, nogil=True)

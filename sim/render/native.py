@@ -59,7 +59,7 @@ class NativePainter:
             (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), DISTORTION_MODELS[camera.distortion_model],
             tuple(camera.distortion_coeffs) or (0.0, 0.0, 0.0, 0.0), (lattice.a, lattice.b),
             tuple(lattice.centre),
-            lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], block_px[1]),
+            lattice.tile_origin(corner_px, block_px[1]),
             block_px, tile, tuple(self._config.light_in(camera)), self._config.ambient,
             runs_of_tile(lattice, block_px), lattice.samples_per_pixel,
             corner_px[:, 0], corner_px[:, 1], background, luminance,

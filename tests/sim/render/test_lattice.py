@@ -45,7 +45,7 @@ def test_the_average_equals_a_brute_force_sum(lattice):
     full = average_tiles(np.full_like(atlas, OBJECT + FULL_CODE), lattice, *tiles)
     np.testing.assert_allclose(full, 1.0, rtol=3e-7)  # float32; the finest lattice's fits a word
     got = average_tiles(atlas, lattice, *tiles)
-    origins = lattice.tile_origin(*corner_px.T, height)
+    origins = lattice.tile_origin(corner_px, height)
     for k, j, i in np.ndindex(3, height, width):
         x, y = corner_px[k] + (i, j)
         u, v = (samples(lattice, x, y) - origins[k] + corners[k]).T
