@@ -187,12 +187,9 @@ def beam(start: ArrayLike, end: ArrayLike, width: float) -> trimesh.Trimesh:
     """Return a beam between two points, its section a triangle with an edge on top."""
     along = np.subtract(end, start)
     length = float(np.linalg.norm(along))
-    bar = prism(3, radius=0.62 * width, length=length)
-    bar.apply_transform(pose((0.0, 0.0, 0.0), pitch_rad=np.pi / 2))
+    bar = moved(prism(3, 0.62 * width, length), (0.0, 0.0, 0.0), pitch_rad=np.pi / 2)
     yaw_rad = float(np.arctan2(along[1], along[0]))
-    pitch_rad = -float(np.arcsin(along[2] / length))
-    bar.apply_transform(pose(0.5 * np.add(start, end), yaw_rad, pitch_rad))
-    return bar
+    return moved(bar, 0.5 * np.add(start, end), yaw_rad, -float(np.arcsin(along[2] / length)))
 
 
 def prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
@@ -203,18 +200,15 @@ def prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
     return hull(np.concatenate(ends))
 
 
-def moved(mesh: trimesh.Trimesh, by: ArrayLike) -> trimesh.Trimesh:
-    """Move a mesh, in place, and return it."""
-    mesh.apply_translation(by)
-    return mesh
-
-
-def pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
-    """Return the (4, 4) transform that turns about y, then about z, then moves to `origin`."""
+def moved(
+    mesh: trimesh.Trimesh, by: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0
+) -> trimesh.Trimesh:
+    """Turn a mesh about y, then about z, and move it, in place; returns it."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("ZY", [yaw_rad, pitch_rad]).as_matrix()
-    T[:3, 3] = origin
-    return T
+    T[:3, 3] = by
+    mesh.apply_transform(T)
+    return mesh
 
 
 # Under distortion a straight edge bends; pieces of this share of the size stay straight enough.

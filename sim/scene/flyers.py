@@ -25,7 +25,6 @@ from sim.scene.drone import (
     join,
     moved,
     panel,
-    pose,
     prism,
     solid,
 )
@@ -76,10 +75,10 @@ def _with_rotors(size_m: float, frame: list[Part], rotors: list[Blades], rotor_h
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
     spinning = []
     for (hub, yaw_rad, albedo), (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
-        blades = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
-        blades.apply_transform(pose(hub, yaw_rad))
+        box = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
+        blades = solid(moved(box, hub, yaw_rad), albedo)
         joint = Joint(np.array([0.0, 0.0, 1.0]), hub * size_m, x_sign * y_sign * rotor_hz)
-        spinning.append(join([solid(blades, albedo)], size_m, joint if rotor_hz else None))
+        spinning.append(join([blades], size_m, joint if rotor_hz else None))
     return _whole(size_m, join(frame, size_m), spinning)
 
 
@@ -93,8 +92,8 @@ def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
     """Return the arm that ends at `hub`, the motor about its end, and the leg below it."""
     root = 0.2 * hub  # within the shell
     length = float(np.linalg.norm(hub - root))
-    arm = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
-    arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
+    box = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
+    arm = moved(box, 0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0])))
     inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
     leg = prism(4, LEG_RADIUS, LEG_REACH - inside)
     motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
@@ -110,8 +109,7 @@ def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
 
     Its front is brighter than its back, so that the mean of its events is no fixed point's image.
     """
-    gimbal = prism(6, radius=0.04, length=0.07)
-    gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
+    gimbal = moved(prism(6, 0.04, 0.07), (0.17, 0.0, -0.075), pitch_rad=np.pi / 2)
     frame = [
         solid(hexagonal_hull(TWO_TONE_SHELL), 0.22),
         solid(gimbal, 0.38),
@@ -222,8 +220,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     """
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
     propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))  # type: ignore[no-untyped-call]
-    wheel = prism(6, radius=0.03, length=0.018)
-    wheel.apply_transform(pose((0.17, 0.0, -0.125), yaw_rad=np.pi / 2, pitch_rad=np.pi / 2))
+    wheel = moved(prism(6, 0.03, 0.018), (0.17, 0.0, -0.125), np.pi / 2, pitch_rad=np.pi / 2)
     wings = [
         panel(
             (

@@ -16,7 +16,7 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.drone import Drone, check_size, hull, join, moved, pose, prism, solid
+from sim.scene.drone import Drone, check_size, hull, join, moved, prism, solid
 from sim.scene.rig import Camera, Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
@@ -62,8 +62,8 @@ def _body() -> trimesh.Trimesh:
 def _arm(corner: FloatArray) -> list[trimesh.Trimesh]:
     """Return an arm out to a corner, its disc, and the foot below that."""
     length = float(np.linalg.norm(corner))
-    arm = trimesh.creation.box((length, _ARM_WIDTH, _ARM_HEIGHT))
-    arm.apply_transform(pose(0.5 * corner, yaw_rad=float(np.arctan2(corner[1], corner[0]))))
+    box = trimesh.creation.box((length, _ARM_WIDTH, _ARM_HEIGHT))
+    arm = moved(box, 0.5 * corner, yaw_rad=float(np.arctan2(corner[1], corner[0])))
     disc = prism(12, _DISC_RADIUS, _DISC_THICKNESS)
     foot = prism(4, _FOOT_RADIUS, _DISC_Z + 0.5 * HEIGHT)
     up, down = (np.array([0.0, 0.0, z]) for z in (_DISC_Z, 0.5 * (_DISC_Z - 0.5 * HEIGHT)))
