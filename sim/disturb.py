@@ -16,7 +16,7 @@ from sim.arrays import Float32Array, FloatArray
 from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
-from sim.recording import SimConfig, simulate
+from sim.recording import Progress, SimConfig, simulate, unseen
 from sim.seeds import generator
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
@@ -39,8 +39,7 @@ class DisturbConfig:
     """Standard deviations of the rig's errors: focal lengths [%], principal point [px]."""
 
     def __post_init__(self) -> None:
-        amounts = ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s")
-        check_numbers(self, "disturbance: ", or_zero=amounts)
+        check_numbers(self, "disturbance: ", or_zero=_CLUTTER)
         if not 0.0 <= self.second_object <= 1.0:
             raise SimError(
                 f"disturbance: second_object is a share, 0 to 1, got {self.second_object}"
@@ -244,7 +243,16 @@ def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array
 # Branches of the seed, beside those of `sim.recording`: each disturbance has a stream of its own,
 # so that one more leaves the others as they are.
 _STREAM = 2
-_SECOND, _INTRINSICS, *_CLUTTER = range(8)
+_SECOND, _INTRINSICS = 0, 1
+# What draws each kind of clutter, by the field with its amount. Their streams follow in this order.
+_CLUTTER: dict[str, Callable[..., NDArray[Any]]] = {
+    "lamp_px": lamp,
+    "hot_clusters": hot_clusters,
+    "noise_hz": noise,
+    "branches": branches,
+    "people": people,
+    "clouds_px_s": clouds,
+}
 
 
 def second_seed(seed: int) -> int:
@@ -258,21 +266,11 @@ def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArra
 
     They are in order of time, on the scene's clock. The camera's index selects its random numbers.
     """
-    kinds: tuple[tuple[Callable[..., NDArray[Any]], float], ...] = (
-        (lamp, config.lamp_px),
-        (hot_clusters, config.hot_clusters),
-        (noise, config.noise_hz),
-        (branches, config.branches),
-        (people, config.people),
-        (clouds, config.clouds_px_s),
-    )
-    return merged(
-        *(
-            draw(view, amount, generator(seed, _STREAM, stream, camera))
-            for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True)
-            if amount
-        )
-    )
+    streams = []
+    for stream, (field, draw) in enumerate(_CLUTTER.items(), start=_INTRINSICS + 1):
+        if amount := getattr(config, field):
+            streams.append(draw(view, amount, generator(seed, _STREAM, stream, camera)))
+    return merged(*streams)
 
 
 def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArray[Any]:
@@ -307,7 +305,7 @@ def record_disturbed(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unseen,
     write_more: WriteMore | None = None,
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
@@ -322,16 +320,13 @@ def record_disturbed(
             "fly: leave out one of them"
         )
     n_flights = 2 if disturb.second_object else 1
-
-    def flight(index: int, of_config: SimConfig, of_seed: int) -> Recording:
-        if progress is None:
-            return simulate(of_config, of_seed)
-        return simulate(of_config, of_seed, lambda share: progress((index + share) / n_flights))
-
-    recording, second = flight(0, config, seed), None
+    recording = simulate(config, seed, lambda share: progress(share / n_flights))
+    second = None
     if disturb.second_object:
         without_frames = replace(config, frames=FrameConfig(rate_hz=0.0))
-        second = flight(1, without_frames, second_seed(seed))
+        second = simulate(
+            without_frames, second_seed(seed), lambda share: progress((1 + share) / 2)
+        )
     recording = disturbed(recording, disturb, seed, second)
     cameras = recording.cameras
     true = {one.camera.name: one.camera.K.tolist() for one in cameras}

@@ -55,6 +55,13 @@ from sim.sensor.kernels import EVENT_DTYPE
 
 _TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1  # branches of the seed
 
+Progress = Callable[[float], None]
+"""Takes the share of the work done, 0 to 1."""
+
+
+def unseen(_share: float) -> None:
+    """Show no progress."""
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -158,9 +165,7 @@ class _InMemory:
         self.events = [np.concatenate(self.events)]
 
 
-def simulate(
-    config: SimConfig, seed: int, progress: Callable[[float], None] | None = None
-) -> Recording:
+def simulate(config: SimConfig, seed: int, progress: Progress = unseen) -> Recording:
     """Simulate one flight of one drone, seen by all cameras.
 
     The seed, 0 or positive, is the only source of randomness. The offset does not enter into it:
@@ -180,10 +185,7 @@ def simulate(
 
 
 def stream(
-    config: SimConfig,
-    seed: int,
-    open_sink: OpenSink,
-    progress: Callable[[float], None] | None = None,
+    config: SimConfig, seed: int, open_sink: OpenSink, progress: Progress = unseen
 ) -> Flight:
     """Simulate one flight as `simulate` does, and pass frames and events to sinks as they are made.
 
@@ -193,21 +195,14 @@ def stream(
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
     scene = config.scene(seed)
-    rig, duration_s = scene.rig, scene.trajectory.duration_s
-    drift = drift_of(config.skew_ppm, config.clock_jump, duration_s)
+    drift = drift_of(config.skew_ppm, config.clock_jump, scene.trajectory.duration_s)
     n_instants = 0
     with Renderer(scene.drone, config.render, seed) as renderer:
-        for index in range(len(rig.cameras)):
-
-            def report(time_s: float, done: int = index) -> None:
-                if progress is not None:
-                    progress((done + time_s / duration_s) / len(rig.cameras))
-
+        for index in range(len(scene.rig.cameras)):
             added = drift if index == 1 else Drift()
-            n_instants += _record(config, scene, seed, index, renderer, added, open_sink, report)
-        gl, check = renderer.context, renderer.check
-    truth = truth_of(rig, scene.trajectory, config.t_d_s, drift)
-    return Flight(rig, truth, n_instants, gl, check)
+            n_instants += _record(config, scene, seed, index, renderer, added, open_sink, progress)
+    truth = truth_of(scene.rig, scene.trajectory, config.t_d_s, drift)
+    return Flight(scene.rig, truth, n_instants, renderer.context, renderer.check)
 
 
 def _record(
@@ -218,10 +213,11 @@ def _record(
     renderer: Renderer,
     drift: Drift,
     open_sink: OpenSink,
-    report: Callable[[float], None],
+    progress: Progress,
 ) -> int:
     """Render, sense and expose one camera's view in batches; returns the number of instants."""
     camera, sharp = scene.rig.cameras[index], scene.backgrounds[index]
+    n_cameras = len(scene.rig.cameras)
     instants_s = choose_instants(scene.drone, camera, scene.trajectory, config.sampling)
     start_s, end_s = float(instants_s[0]), float(instants_s[-1])
     rng = generator(seed, _SENSOR_STREAM, index)
@@ -242,25 +238,24 @@ def _record(
     T_W_B = PosesAt(scene.trajectory, instants_s)
     for crops in map(effects.through_lens, renderer.crops(camera, instants_s, T_W_B, sharp)):
         exposer.feed(*crops)
-        if sensor is None:
-            starts = crops.times_s[0] == start_s  # in view from the start
+        if sensor is None:  # the first image is that of the start, in view or not
             image = background.copy()
-            if starts:
-                height, width = crops.luminance.shape[1:]
-                y0, x0 = crops.y0_px[0], crops.x0_px[0]
-                image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
+            height, width = crops.luminance.shape[1:]
+            y0, x0 = crops.y0_px[0], crops.x0_px[0]
+            image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
             sensor = effects.start_sensor(image, start_s, rng)
-            crops = Crops._make(values[int(starts) :] for values in crops)
+            n_seen = int(crops.times_s[0] == start_s)  # by the sensor, when it starts
+            crops = Crops._make(values[n_seen:] for values in crops)
         if len(crops.times_s):
             sensor.feed(*crops)
             hand_on(sensor.take_settled())
-            report(float(crops.times_s[-1]))
+            progress((index + float(crops.times_s[-1]) / end_s) / n_cameras)
     if sensor is None:  # never in view
         sensor = effects.start_sensor(background, start_s, rng)
     hand_on(effects.read_out(sensor.finish(end_s), end_s))
     exposer.finish()
     sink.close()
-    report(end_s)
+    progress((index + 1) / n_cameras)
     return len(instants_s)
 
 

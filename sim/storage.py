@@ -22,7 +22,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from scipy.spatial.transform import Rotation
 from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
 from sim.recorded import Flight, OpenSink, Recording
-from sim.recording import SimConfig, stream
+from sim.recording import Progress, SimConfig, stream, unseen
 from sim.scene.rig import Camera, Known, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
 
@@ -190,17 +190,14 @@ def record(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unseen,
     write_more: WriteMore | None = None,
 ) -> Recorded:
     """Simulate one flight and write it meanwhile; only one camera's events are in memory.
 
     The arguments and errors are those of `simulate` and `save_recording`.
     """
-
-    def film(open_sink: OpenSink) -> Flight:
-        return stream(config, seed, open_sink, progress)
-
+    film = partial(stream, config, seed, progress=progress)
     return _write(film, out_dir, provenance, text, write_more=write_more)
 
 
