@@ -29,10 +29,17 @@ class EventBuffer:
 
         They are sorted by time, then row, column and order of emission.
         """
-        taken, key = np.empty(self.n, EVENT_DTYPE), np.empty(self.n, np.int64)
-        n_taken = _move_out(self.events, self.n, before_us, width, height, taken, key)
-        self.n -= n_taken
-        return np.take(taken, _stable_order(key[:n_taken]))
+        emitted = self.events[: self.n]
+        t_us = np.rint(emitted["t_s"] * 1e6)
+        is_taken = t_us < before_us
+        taken = np.empty(np.count_nonzero(is_taken), EVENT_DTYPE)
+        taken["t"] = t_us[is_taken]
+        for name in ("x", "y", "p"):
+            taken[name] = emitted[name][is_taken]
+        self.n -= len(taken)
+        self.events[: self.n] = emitted[~is_taken]
+        key = (taken["t"] * height + taken["y"]) * width + taken["x"]
+        return np.take(taken, _stable_order(key))
 
 
 @njit(cache=True, nogil=True)
@@ -41,23 +48,6 @@ def grown(events: NDArray[Any]) -> NDArray[Any]:
     more = np.empty(2 * events.size, events.dtype)
     more[: events.size] = events
     return more
-
-
-@njit(cache=True, nogil=True)
-def _move_out(events, n, before_us, width, height, taken, key):
-    """Move the events before a time to `taken`, with the key to sort them by."""
-    n_taken = 0
-    for i in range(n):
-        event = events[i]
-        t_us = np.rint(event.t_s * 1e6)
-        if t_us < before_us:
-            moved = taken[n_taken]
-            moved.t, moved.x, moved.y, moved.p = np.int64(t_us), event.x, event.y, event.p
-            key[n_taken] = (moved.t * height + moved.y) * width + moved.x
-            n_taken += 1
-        else:
-            events[i - n_taken] = event
-    return n_taken
 
 
 def _stable_order(key: IntArray) -> IntArray:
