@@ -74,12 +74,10 @@ class GLPainter:
         origins = lattice.tile_origin(corner_px, size_px[1])
         matrices[:, :, 3, :2] = (corners - origins)[:, None]
         matrices[:, :, 3, 2:] = corners[:, None]
-        depth = views.depth_m[views.visible]
-        depth_range_m = (0.9 * depth.min(), 1.1 * depth.max()) if len(depth) else (0.5, 1.0)
         width, height = corners.max(axis=0) + tile
         self._bind_framebuffer(int(width), int(height))
         self._program._bind()
-        self._set_uniforms(camera, (width, height), tile, depth_range_m)
+        self._set_uniforms(camera, views, tile)
         self._draw(self._mesh(camera), matrices)
         return average_tiles(self._words, lattice, corners, corner_px, size_px, background)
 
@@ -101,14 +99,10 @@ class GLPainter:
             )
         GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
 
-    def _set_uniforms(
-        self,
-        camera: Camera,
-        size: tuple[int, int],
-        tile: tuple[int, int],
-        depth_range_m: tuple[float, float],
-    ) -> None:
-        """Set the uniforms of `mesh.vert`; the sizes of atlas and tile are in samples."""
+    def _set_uniforms(self, camera: Camera, views: Views, tile: tuple[int, int]) -> None:
+        """Set the uniforms of `mesh.vert`; the size of a tile is in samples."""
+        depth = views.depth_m[views.visible]
+        depth_range_m = (0.9 * depth.min(), 1.1 * depth.max()) if len(depth) else (0.5, 1.0)
         GL, lattice, K = self._GL, self._config.lattice, camera.K
         locate = partial(GL.glGetUniformLocation, self._program._program_id)
         GL.glUniform4f(locate("intrinsics"), K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -118,7 +112,7 @@ class GLPainter:
         GL.glUniform2f(locate("pixel_centre"), *lattice.centre)
         GL.glUniform3f(locate("light"), *self._config.light_in(camera))
         GL.glUniform1f(locate("ambient"), self._config.ambient)
-        GL.glUniform2f(locate("viewport"), *size)
+        GL.glUniform2f(locate("viewport"), *self._words.shape[::-1])
         GL.glUniform2f(locate("tile_size"), *tile)
         GL.glUniform2f(locate("depth_range"), *depth_range_m)
 

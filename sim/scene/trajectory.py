@@ -267,20 +267,17 @@ def _read_table(path: Path) -> tuple[list[int], FloatArray]:
         raise SimError(
             f"{path}, line {first}: the header lacks {', '.join(missing)}: expected {wanted}"
         )
+    table = []
     for number, fields in rows.items():
-        if len(fields) != len(header) or not all(map(_is_finite_number, fields)):
+        try:
+            table.append([float(field) for field in fields])
+        except ValueError:
+            table.append([math.nan])
+        if len(table[-1]) != len(header) or not np.isfinite(table[-1]).all():
             raise SimError(
                 f"{path}, line {number}: expected {len(header)} finite numbers with commas between "
                 f"({', '.join(header)}), got {', '.join(fields)}: correct or delete this row"
             )
     if len(rows) < MIN_CSV_ROWS:
         raise SimError(f"{path}: expected {MIN_CSV_ROWS} rows or more of {wanted}, got {len(rows)}")
-    table = np.array(list(rows.values()), dtype=np.float64)
-    return list(rows), table[:, [header.index(name) for name in CSV_COLUMNS]]
-
-
-def _is_finite_number(field: str) -> bool:
-    try:
-        return math.isfinite(float(field))
-    except ValueError:
-        return False
+    return list(rows), np.array(table)[:, [header.index(name) for name in CSV_COLUMNS]]
