@@ -70,17 +70,14 @@ class NativePainter:
 def _mesh(drone: Drone, piece_m: float) -> _Mesh:
     """Put all parts into one list of faces, in double precision."""
     parts = [part_faces(part, piece_m) for part in drone.parts]
-    vertices, faces, n_vertices = [], [], [0]
     with in_memory(sum(len(part.albedo) for part in parts)):
-        for part in parts:
-            corners = part.corners_m.reshape(-1, 3)
-            unique, index = np.unique(corners, axis=0, return_inverse=True)
-            faces.append(index.reshape(-1, 3) + n_vertices[-1])
-            vertices.append(unique)
-            n_vertices.append(n_vertices[-1] + len(unique))
+        corners = [part.corners_m.reshape(-1, 3) for part in parts]
+        found = [np.unique(one, axis=0, return_inverse=True) for one in corners]
+        first = np.cumsum([0] + [len(vertices) for vertices, _ in found])
+        faces = [index.reshape(-1, 3) + n for (_, index), n in zip(found, first, strict=False)]
         return (
-            np.concatenate(vertices).astype(np.float64),
-            np.array(n_vertices),
+            np.concatenate([vertices for vertices, _ in found]).astype(np.float64),
+            first,
             np.concatenate(faces),
             np.concatenate([part.normals for part in parts]).astype(np.float64),
             np.concatenate([part.albedo for part in parts]).astype(np.float64),

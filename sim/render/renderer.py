@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
@@ -103,12 +104,9 @@ class Renderer:
         the two painters differ by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
-        # One more instant on each side, so that leaving and entering the view are seen as a change.
-        near_view = seen.visible.copy()
-        near_view[1:] |= seen.visible[:-1]
-        near_view[:-1] |= seen.visible[1:]
         checked = self._checked(np.flatnonzero(seen.visible))
-        chosen = np.flatnonzero(near_view)
+        # One more instant on each side, so that leaving and entering the view are seen as a change.
+        chosen = np.flatnonzero(binary_dilation(seen.visible))
         while len(chosen):
             size = self._size_of_batch(seen.boxes[chosen[:MAX_INSTANCES]])  # no batch is larger
             batch, chosen = chosen[:size], chosen[size:]

@@ -221,17 +221,11 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
     propeller.apply_transform(rotation_matrix(0.6, (1, 0, 0)))  # type: ignore[no-untyped-call]
     wheel = moved(prism(6, 0.03, 0.018), (0.17, 0.0, -0.125), np.pi / 2, pitch_rad=np.pi / 2)
-    wings = [
-        panel(
-            (
-                (0.1, side * 0.02, 0.015, 0.024),
-                (-0.07, side * 0.02, 0.015, 0.024),
-                (-0.045, side * 0.5, 0.05, 0.008),
-                (0.035, side * 0.5, 0.05, 0.008),
-            )
-        )
-        for side in (1, -1)
-    ]
+    wings = []
+    for side in (1, -1):
+        root = [(0.1, side * 0.02, 0.015, 0.024), (-0.07, side * 0.02, 0.015, 0.024)]
+        tip = [(-0.045, side * 0.5, 0.05, 0.008), (0.035, side * 0.5, 0.05, 0.008)]
+        wings.append(panel([*root, *tip]))
     fin = panel(FIN)
     fin.apply_transform(rotation_matrix(np.pi / 2, (1, 0, 0)))  # type: ignore[no-untyped-call]
     pieces = (

@@ -85,13 +85,9 @@ class Camera:
         if self.distortion_model == "radtan":
             k1, k2, p1, p2 = self.distortion_coeffs
             radial = 1.0 + r2 * (k1 + r2 * k2)
-            return np.stack(
-                [
-                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2),
-                    y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y**2),
-                ],
-                axis=-1,
-            )
+            bent_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+            bent_y = y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y**2)
+            return np.stack([bent_x, bent_y], axis=-1)
         if self.distortion_model == "equidistant":
             k1, k2, k3, k4 = self.distortion_coeffs
             r = np.sqrt(r2)
