@@ -9,7 +9,7 @@ positions are those of `ObjectMotion.sharp_at`, and each residual is weighted by
 images' size.
 """
 
-import pickle
+from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
@@ -56,10 +56,19 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    content = pickle.dumps(replace(start, method="", start=None))
+    content = _content(start)
     if content not in views.refined:
         views.refined[content] = _OfPositions(start, views).estimate(start.R, start.t)
     return replace(views.refined[content], method=start.method, start=start.start)
+
+
+def _content(start: Estimate) -> Hashable:
+    """Return all that an estimate holds but its method and start, to the last bit."""
+    values = {**vars(start), "method": "", "start": None}.values()
+    return tuple(
+        np.asarray(one).tobytes() if isinstance(one, (np.ndarray, tuple)) else repr(one)
+        for one in values
+    )
 
 
 class _OfPositions(Refinement):

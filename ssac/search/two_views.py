@@ -5,6 +5,7 @@ p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows 
 Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
 """
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -81,8 +82,7 @@ class TwoViews:
     clock: Clock = field(default_factory=Clock)  # of camera 2, without the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
     cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # that the motions are of
-    refined: dict[bytes, Estimate] = field(default_factory=dict, init=False, repr=False)
-    """Cache of refined estimates, by their starts. Copies made by `replace` start with none."""
+    refined: dict[Hashable, Estimate] = field(init=False, repr=False)  # kept, by their starts
 
     def under(self, clock: Clock) -> "TwoViews":
         """Return the same views with the skew and the strays of a clock, but not its offset."""
@@ -96,6 +96,7 @@ class TwoViews:
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "refined", {})
         longest_s = float(np.ptp(self.config.offsets_s))
         alone = Alone(self.motions, longest_s, self.rules.view, self.rules.blind)
         if self.alone != alone:
