@@ -138,6 +138,7 @@ class Config:
             self,
             interval_s=self.offsets_s,
             skew_prior_ppm=prior_ppm if self.skew_prior_ppm is None else self.skew_prior_ppm,
+            clock="affine" if self.clock == "auto" else self.clock,
             choose_object=self.choose_object and self.rates is None,
         )
 

@@ -12,6 +12,7 @@ from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.methods.method import Input, method
+from ssac.rules import SignalRules
 from ssac.track.observation import Observation
 
 
@@ -42,7 +43,9 @@ def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
     return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
 
 
-def zncc(signal1: Signal, signal2: Signal, lags: IntArray, min_overlap: float) -> Array:
+def zncc(
+    signal1: Signal, signal2: Signal, lags: IntArray, min_overlap: float = SignalRules.min_overlap
+) -> Array:
     """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
 
     Each value, from -1 to 1, is over the bins that both signals cover; it is NaN where these are

@@ -104,6 +104,7 @@ def _misfit(built: Built, rules: NetworkRules) -> int | None:
     """Return the camera that fits far worse than the others, or None."""
     cameras = enumerate(built.network.cameras)
     rms = np.array([fit_of(built.network, k).rms_px / seen.camera.width for k, seen in cameras])
+    rms = np.nan_to_num(rms, nan=np.inf)  # of a camera none of whose sightings is used
     worst = int(np.argmax(rms))
     others = float(np.median(np.delete(rms, worst)))
     is_far = rms[worst] > max(rules.misfit * others, rules.least_misfit_widths)

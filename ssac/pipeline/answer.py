@@ -46,6 +46,7 @@ class Answer:
     distance_m: float | None = None  # between the cameras, where it was stated
     of_start: str = ""  # why the estimate is that of `method.starts_from`; empty if it is not
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
+    asked_clock: str = "auto"  # kind of clock that was asked for
 
     @property
     def names(self) -> tuple[str, str]:

@@ -395,7 +395,7 @@ class Chain:
         rig, seconds = self.rig.pair(*pair.places), dict(self.watch.seconds)
         made_from = pair.method, pair.cleans, rig, pair.config, self.rig.name, pair.start
         found = with_sure_offset(widened(estimate, hidden_s2), pair.config.rules.verdict)
-        return Answer(found, *made_from, seconds=seconds)
+        return Answer(found, *made_from, seconds=seconds, asked_clock=self.config.clock)
 
     def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         said = vars(refusal) | {"alternatives_s": np.array(refusal.alternatives_s)}

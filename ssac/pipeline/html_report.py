@@ -47,11 +47,13 @@ def report_page(
     summary: Rows,
     command: str = "",
     units: Sequence[str] = (),
+    seconds: Mapping[str, float] | None = None,
 ) -> str:
     """Return the page on two cameras, or on all pairs of more cameras and their network.
 
     `summary` has the rows that are printed, `command` is the command line (empty: a Python call),
-    and `units` are the networks' units of length. The same input gives the same bytes.
+    `units` are the networks' units of length, and `seconds` what their parts took. The same input
+    gives the same bytes.
     """
     cameras = seen_by(answers, network)
     most = max(150, _MOST_DOTS // len(answers))
@@ -83,7 +85,7 @@ def report_page(
             rig=answers[0, 1].rig_name,
             command=command,
             versions={"Python": platform.python_version(), **{n: _version(n) for n in _PACKAGES}},
-            seconds=answers[0, 1].seconds,
+            seconds=seconds or answers[0, 1].seconds,
             summary=summary,
         )
     )

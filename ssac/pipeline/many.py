@@ -174,7 +174,7 @@ class NetworkResult:
         from ssac.pipeline.html_report import report_page
 
         units = [_unit(in_metres) for in_metres in self.are_in_metres or [False]]
-        page = report_page(self.pairs, self.network, self.rows(), command, units)
+        page = report_page(self.pairs, self.network, self.rows(), command, units, self.seconds)
         write_whole(Path(path), page)
         return Path(path)
 
@@ -281,7 +281,9 @@ def write_two(
         return
     scale, in_metres = distance_m or 1.0, distance_m is not None
     if trajectory is not None:
-        chain = Chain(answer.cleans, answer.rig, answer.config)
+        # Of a network's clocks more is asked than of a pair's: whether they wander is found out.
+        clock = answer.asked_clock if answer.config.clock == "affine" else answer.config.clock
+        chain = Chain(answer.cleans, answer.rig, replace(answer.config, clock=clock))
         found = solve_pairs(chain, {(0, 1): answer}, distance_m)
         found, ground = grounded(found, known, answer.config.rules)
         if ground is not None:
