@@ -55,23 +55,6 @@ def left_by_fit(problem):
 
 
 @pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
-@pytest.mark.parametrize("pose_is_known", [False, True])
-def test_a_clock_rate_is_one_more_column(turn, pose_is_known):
-    problem = rate_problem(turn=turn, pose_is_known=pose_is_known)
-    # The loss of `tangency` turns within the noise, and its steps shrink slowly.
-    found = solve(problem, TRUTH, max_steps=100)
-    assert found.converged
-    covariance = linearise(problem, found.parameters).covariance()
-    deviations = np.sqrt(np.diag(covariance))
-    assert len(deviations) == (2 if pose_is_known else 7)
-    assert found.parameters.t_d_s == pytest.approx(T_D_S, abs=4 * deviations[0])
-    assert found.parameters.columns == pytest.approx([RATE], abs=4 * deviations[-1])
-    assert 1e-6 < deviations[-1] < 0.4 * RATE  # the rate is told from 0
-    without = solve(replace(problem, columns=()), TRUTH, max_steps=100).parameters
-    assert len(without.columns) == 0
-
-
-@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
     without = left_by_fit(rate_problem(turn=turn))
     std = np.sqrt(without.covariance()[-1, -1])
