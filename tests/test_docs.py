@@ -3,7 +3,6 @@
 import re
 import runpy
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import cv2
 import matplotlib.pyplot as plt
@@ -12,8 +11,7 @@ import pytest
 
 import ssac
 from docs import conf, example, track_video
-
-ROOT = Path(__file__).resolve().parents[1]
+from experiments.lab.code import ROOT
 
 
 @pytest.mark.render

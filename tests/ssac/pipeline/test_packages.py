@@ -5,13 +5,13 @@ import re
 import sys
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ssac.pipeline.registry
 from experiments.lab.cell import CRASHED
+from experiments.lab.code import ROOT
 from experiments.lab.grid import Cell, load_config
 from experiments.lab.schedule import refusal
 from experiments.lab.scored import SCORED, scored_row
@@ -27,7 +27,6 @@ from tests.ssac.methods import flights
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 from tests.ssac.tracks import frame_track, frame_tracks
 
-ROOT = Path(__file__).resolve().parents[3]
 NAMES = [method.name for method in OURS]
 
 GOOD = '''
