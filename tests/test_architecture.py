@@ -69,7 +69,6 @@ def test_folders_are_two_levels(imports):
     ("importer", "imported", "contract"),
     [
         ("sim.sensor", "ssac", PACKAGES),
-        ("sim.sensor", "ssac.events", PACKAGES),
         ("sim.sensor", "experiments", PACKAGES),
         ("ssac.track", "sim.scene", PACKAGES),
         ("ssac.pipeline.api", "experiments.studies", PACKAGES),

@@ -66,7 +66,6 @@ def test_another_picture_and_a_file_that_no_command_leaves_are_found(results):
         ('"wall_time_s": 1.0', '"wall_time_s": -1.0', "it took -1.0 s"),
         # Entries of another form.
         ('"config": {', '"config": null, "was": {', "AttributeError: "),
-        ('"versions": {', '"versions": {}, "were": {', "it lacks the versions of "),
         ('"gl": {', '"gl": 3, "was": {', "TypeError: "),
         # The label of an axis does not count.
         ('"config": {', '"config": {"figure": {"label": "side of a square"},', None),

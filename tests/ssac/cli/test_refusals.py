@@ -20,7 +20,6 @@ from tests.ssac.tracks import rig_document, save_pair
 HEAD = "t_s,x_px,y_px\n"
 TEXTS = {
     "no_header": ("{rows}", "first line must name the columns"),
-    "half_a_header": ("t_s,x_px\n{rows}", "must name the columns"),
     "unsorted": (HEAD + "1,2,3\n0,1,2\n", "must be in time order"),
     "twice": (HEAD + "0,1,2\n0,1,2\n", "must be in time order"),
     "nan": (HEAD + "-1,nan,3\n{rows}", "no finite number"),

@@ -76,7 +76,6 @@ def test_forms_that_are_read(tmp_path, text):
         ("", "no points"),
         ("t_s,x_m,y_m,z_m\n", "no points"),
         ("0 1 2 3\n1 2 nan 4\n", "point 1 has a value that is no finite number"),
-        ("1 1 2 3\n0 2 2 4\n", "time order, but point 1"),
         ("0 1 2 3\n0 2 2 4\n", "time order, but point 1"),
         ("12 1 2 3\n0 2 2 4\n", "time order, but point 1"),  # not as a sensor's counter
         ("0 1 2 3\n1 2 two 4\n", "must be 4 numbers, but point 1 is '1 2 two 4'"),
