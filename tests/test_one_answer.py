@@ -1,9 +1,4 @@
-"""Tests that all ways to ask for an estimate give the same bits, for every recording and method.
-
-All ways are compared with the Python call. The command line builds its own chain from its options.
-Where that has the same files, rig and configuration, it reuses the results of the Python call, so
-that nothing is estimated twice from inputs that are the same to the last bit.
-"""
+"""Tests that all ways to ask for an estimate give the bits of the Python call."""
 
 import json
 import pickle
@@ -50,7 +45,7 @@ recordings lack, and one where it takes seconds to separate objects or to try ot
 
 @pytest.fixture
 def found(monkeypatch):
-    """Results by files and rig, which the chains of these share until the test clears them."""
+    """Results by files and rig, by which chains estimate nothing twice until a test clears them."""
     of_chains, init = {}, Chain.__init__
 
     def begun(chain, cameras, rig, *more):

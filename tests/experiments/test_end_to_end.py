@@ -1,10 +1,8 @@
 """Estimates from simulated recordings, with noise and distortion, compared with the truth.
 
-Flights of 10 s, rendered coarsely. On such short ones the means of the windows stray by 0.5 px from
-the image of a fixed point, the same way for seconds, which leaves errors of up to 0.8 ms, 0.8 deg
-and 0.5 deg in these recordings (`ssac tables` measures them over many flights of 20 s); the
-tolerances are 1.5 to 2 times that. Invariances (swapped cameras, other lengths, another zero of the
-clock) are tested on synthetic recordings in `tests/ssac`.
+In flights as short as these of 10 s, the means of the windows stray by 0.5 px from the image of a
+fixed point, the same way for seconds, which leaves errors of up to 0.8 ms, 0.8 deg and 0.5 deg. The
+tolerances are 1.5 to 2 times that.
 """
 
 from dataclasses import replace

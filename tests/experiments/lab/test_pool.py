@@ -1,7 +1,4 @@
-"""Worker processes: dead ones are replaced, and a job that fails harms no other job.
-
-`test_sweep.py` tests that workers end when the process that started them is killed.
-"""
+"""Worker processes: dead ones are replaced, and a job that fails harms no other job."""
 
 import os
 import signal

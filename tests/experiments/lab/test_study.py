@@ -1,7 +1,4 @@
-"""Cells become rows and files: resumed, in shards, with crashes, other runs and dead workers.
-
-Real processes that share a cache or die are in `test_sweep.py`.
-"""
+"""Cells become rows and files: resumed, in shards, with crashes, other runs and dead workers."""
 
 import json
 from concurrent.futures import Future

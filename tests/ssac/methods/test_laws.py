@@ -1,8 +1,4 @@
-"""Laws of every method of tracks, and what degenerate or periodic flights leave observable.
-
-The cameras of the laws differ in focal lengths, centre, lens and size, so that an exchange of the
-two shows.
-"""
+"""Laws of every method of tracks, and what degenerate or periodic flights leave observable."""
 
 from dataclasses import replace
 
@@ -17,6 +13,7 @@ from tests.ssac.methods import flights
 from tests.ssac.methods.flights import DURATION_S, T_D_S, found, scene_of, seen
 from tests.ssac.synthetic import OTHER, angle_deg, make_events, make_scene, rotation_angle_deg
 
+# The cameras differ, so that an exchange of the two shows.
 SCENE = replace(make_scene(seed=3, angle_deg=60.0, duration_s=8.0), cam2=OTHER)
 CONFIG = Config(denoise=False, interval_s=(-0.4, 0.4))  # the synthetic events have no noise
 OF_TRACKS = [method for method in OURS if method.input is Input.TRACKS]

@@ -28,14 +28,10 @@ OWN = RNG.integers(0, 5, 80)
 )
 def test_solution_and_covariance_are_those_of_the_dense_matrix(first, columns, least) -> None:
     rng, n, m, b = np.random.default_rng(1), len(first), 3 * (first.max() + 4), columns.max() + 1
-    linear = Linear(
-        first,
-        rng.normal(size=(n, 4)),
-        rng.normal(size=(n, 2, 3)),
-        rng.normal(size=(n, 2, columns.shape[1])),
-        columns,
-        rng.normal(size=(n, 2)),
+    weights, by_point, by_camera, residuals = (
+        rng.normal(size=(n, *size)) for size in ((4,), (2, 3), (2, columns.shape[1]), (2,))
     )
+    linear = Linear(first, weights, by_point, by_camera, columns, residuals)
     normal = Normal(m // 3, b)
     normal.add(linear)
     normal.add_rows(np.eye(b), np.ones(b))  # a prior on each camera's parameters
