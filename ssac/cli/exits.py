@@ -14,8 +14,9 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from ssac.errors import PluginError, SsacError
 from ssac.files.whole_file import write_whole
@@ -52,8 +53,7 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     except (KeyboardInterrupt, SystemExit) as ended:
         return _ended(ended)
     except BrokenPipeError:
-        # Python flushes once more when it ends, and would complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go(sys.stdout)
         return PIPE_CLOSED
     except faults_of_input as error:
         return fail(str(error), BAD_INPUT)
@@ -84,8 +84,15 @@ def _say(kind: str, message: object) -> None:
     """Print a message as one line on stderr, folded if stderr is a terminal."""
     line = f"{kind}: {' '.join(str(message).split())}"
     width = columns(sys.stderr, sys.maxsize)
-    with suppress(BrokenPipeError):  # its reader has gone: the exit code says the same
+    try:
         print("\n".join(folded(line, width, len(kind) + 2)), file=sys.stderr, flush=True)
+    except BrokenPipeError:  # the exit code says the same
+        _let_go(sys.stderr)
+
+
+def _let_go(stream: TextIO) -> None:
+    """Write to nowhere, as the reader has gone: Python flushes once more when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager
