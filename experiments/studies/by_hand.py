@@ -212,9 +212,9 @@ _SPOILS: Mapping[str, Callable[[Kind, Rng, float], tuple[Kind, str]]] = {
 # --- What is said of them ---
 
 BASE, FIRST, N_RECORDINGS = 300, 5050, 600
-"""No choice was made on these; the next start at 6250.
+"""No choice was made on these before they were run, one since (5119); the next start at 6250.
 
-On those before, and bases 1 to 5, 100, 101 and 200, some were made.
+On those before, and bases 1 to 5, 100, 101 and 200, some were made; 5650 to 6249 were looked at.
 """
 
 SPARED = "spared"  # status of a setting that was not tried, as the default is right

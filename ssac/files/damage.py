@@ -251,8 +251,8 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
 
 def note_unit(events: Events, name: str, unit: str) -> None:
     """Warn where times, taken to be in `unit`, look as if they were in another one."""
-    n, span_s = len(events), float(np.ptp(events["t"])) / US_PER_S
-    said = ""
+    n, said = len(events), ""
+    span_s = float(np.ptp(events["t"])) / US_PER_S if n else 0.0
     if span_s > LONGEST_S and n < _LEAST_HZ * span_s:
         finer = {"seconds": "milliseconds", "microseconds": "nanoseconds"}[unit]
         said = f"{finer}, divide it by 1000"

@@ -238,6 +238,7 @@ def _opened(
         return tracked(seen, "")
     if isinstance(seen, np.ndarray):
         events = events_of_array(seen, name)
+        check_event_array(events, name)
         note_unit(events, name, "microseconds")
         return Observation(events)
     raise SsacError(

@@ -173,6 +173,8 @@ WRONG = [
         "^camera 1 and camera 2 hold the same points: one is a copy of the other",
     ),
     ((Observation(None), OTHER, RIG), "^camera 1: events must be a 1-D array"),
+    ((np.array(ONE[0]), OTHER, RIG), "^camera 1: events must be a 1-D array"),
+    ((ONE[:0], OTHER, RIG), "^camera 1: there are no events"),
     ((Observation([1, 2]), OTHER, RIG), "got list: build it with ssac.events"),
     (
         (Observation(ONE, frames=np.zeros((3, 2, 2))), OTHER, RIG, "zncc_f"),
