@@ -553,6 +553,10 @@ class TangencyRules:
     # Where it is free: how much too wide, or too narrow, both images are, in robust deviations of
     # the tangents: by 82 odd flights of seeds 1 to 9 (numbers k with k // 9 even), 3 to 60 s.
     hidden_width: float = 1.8
+    # Deviations of errors of all outlines, in image sizes, as of the body's point below: by numbers
+    # 4450 to 4723 of `ssac by-hand`, where R of images over 25 px left its interval in 11 %, now 4.
+    outline_offset: float = 0.01
+    outline_slope: float = 0.01
     least_size_px: float = 3.5  # rms, of both images together, for an outline
     area_reach_s: float = 0.5  # about this offset, in which that of the centres of area is searched
     # Difference of the start's and the tangents' offsets, in the start's deviations, above which it

@@ -349,7 +349,9 @@ class _OfTangents(Refinement):
             self.allowance.learn(problem, last.found.parameters)
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Return the residuals' changes by lasting errors: (n, 1 or 2), 13 more with a body.
+        """Return the residuals' changes by lasting errors: (n, 2) with a known pose, else (n, 13).
+
+        With a body they are (n, 13) more, and (n, 1) of the outlines with a free pose.
 
         With a free pose, outlines are off by the same number of pixels in both views, as seen by
         similar sensors. The angles of the planes then differ between a near and a far view, and as
@@ -370,6 +372,9 @@ class _OfTangents(Refinement):
             outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # change of distance per px
             wide_px = rules.hidden_width * robust_deviation(residuals.distances_px[~of_body])
             errors = wide_px * outward[:, None] * (of_side[:, :1] - of_side[:, 1:])
+            if pairs.kinds is None:
+                bias = rules.outline_offset, rules.outline_slope
+                errors = np.hstack([errors, smooth_errors(residuals, self.size_px, *bias)])
         if pairs.kinds is not None:
             errors = np.hstack([errors, of_body[:, None] * self._of_body(residuals)])
         return np.asarray(pairs.weights[:, None] * errors)
