@@ -101,7 +101,7 @@ class Config:
 
     def __post_init__(self) -> None:
         for name in ("interval_s", "rates"):  # a file gives them as lists
-            if isinstance(getattr(self, name), list):
+            if isinstance(getattr(self, name), (list, np.ndarray)):
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property

@@ -52,6 +52,8 @@ def check_outputs(cameras: Sequence[Path], rig: Path, given: SimpleNamespace) ->
         files += [plot] if n == 2 else [numbered_file(plot, pair) for pair in pairs]
     elif plot is not None:
         check_figures(plot)
+        if any(file is not None and file.resolve() == plot.resolve() for file in files):
+            raise SsacError(f"--plot: {plot} is named for a file too: name another folder")
     inputs = *cameras, rig, *filter(None, (given.positions, given.rtk))
     check_targets(files, [file_of(path) for path in inputs])
 

@@ -13,7 +13,7 @@ from ssac.cli import options as shared
 from ssac.cli.command_line import Sections
 from ssac.cli.exits import NO_ESTIMATE, warnings_as_lines
 from ssac.cli.options import Option, argument, file_option, flag, named, number, with_options
-from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
+from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM, Config
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
@@ -318,9 +318,18 @@ def _check_suits(given: SimpleNamespace, has_more: bool) -> None:
 
     if given.method not in METHODS or not METHODS[given.method].finds_offset_alone:
         return
-    for name, file in (("--trajectory", given.trajectory), ("--write-rig", given.write_rig)):
-        if file is not None:
+    of_poses_and_clocks = {
+        "--trajectory": given.trajectory,
+        "--write-rig": given.write_rig,
+        "--distance": given.distance,
+        "--focal-std": given.focal_std,
+        "--centre-std": given.centre_std,
+        "--skew-prior": given.skew_prior,
+        "--clock": None if given.clock == Config.clock else given.clock,
+    }
+    for name, value in of_poses_and_clocks.items():
+        if value is not None:
             raise SsacError(
-                f"{name}: needs a pose, and {given.method} finds the offset alone: leave it out, or"
-                f" use another method, such as {OF_TRACKS}"
+                f"{name}: is of poses or of the clocks' rates, and {given.method} finds the offset"
+                f" alone: leave it out, or use another method, such as {OF_TRACKS}"
             )

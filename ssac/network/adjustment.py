@@ -309,7 +309,7 @@ def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
     """Count the sightings (n, 2) worth one independent one: 1 + 2 sum of autocorrelations."""
     limit = 3.0 * robust_deviation(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
-    variance = float(np.mean(clipped**2))
+    variance = float(np.mean(clipped**2)) or 1.0  # of residuals that are all 0
     interval_s = float(np.median(np.diff(times_s)))
     total = 1.0
     for lag in range(1, min(rules.most_lags, len(times_s) // 4)):

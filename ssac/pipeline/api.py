@@ -5,7 +5,6 @@ import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -26,6 +25,7 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput, kind_of
 from ssac.pipeline.registry import OURS, EstimateFunction, choose_method
 from ssac.pipeline.report import html_of, report_json, report_rows, text_of
+from ssac.rules import is_number
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
@@ -199,7 +199,7 @@ def sync(
         raise SsacError(f"sync: expected two cameras or more, got a list of {len(seen)}")
     of_two = len(seen) == 2
     for name, value in (("focal_std", focal_std), ("centre_std_px", centre_std_px)):
-        if value is not None and not (isinstance(value, Real) and 0.0 <= value < np.inf):
+        if value is not None and not (is_number(value) and 0.0 <= value < np.inf):
             raise SsacError(f"{name}: expected a deviation of 0 or more, got {value!r}")
     for name, given, kind in (("reading", reading, Reading), ("known", known, Known)):
         if not isinstance(given, kind):

@@ -91,10 +91,21 @@ EVENTS = [
     ("cam1.h5 --plot cam1.h5", "cam1.h5: exists and is no folder"),
     ("cam1.h5 --plot fig.JPG", "fig.JPG: cannot write the extension '.JPG': name a folder, or a"),
     ("cam1.h5 --plot cam1.h5/figures", "cam1.h5 is a file: name a folder"),
+    ("cam1.h5 --plot a --json a", "--plot: a is named for a file too"),
+    ("cam1.h5 --plot a.html --report a.html", "--plot: a.html is named for a file too"),
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
-    ("cam1.h5 --method event_rate --write-rig out.yaml", "--write-rig: needs a pose, and event_r"),
-    ("cam1.h5 --method zncc_e --trajectory out.yaml", "--trajectory: needs a pose, and zncc_e"),
+    *(
+        (f"cam1.h5 --method {method} {option} {value}", f"{option}: is of poses or of .* {method}")
+        for method, option, value in [
+            ("event_rate", "--write-rig", "out.yaml"),
+            ("zncc_e", "--trajectory", "out.yaml"),
+            ("zncc_e", "--distance", "3"),
+            ("zncc_f", "--focal-std", "1"),
+            ("event_rate", "--clock", "pieces"),
+            ("zncc_e", "--skew-prior", "0"),
+        ]
+    ),
     ("cam1.h5 --write-rig rig.yaml", "rig.yaml: is one of the inputs"),
     ("cam1.h5 --report page", "page: cannot write the extension '': use one of .htm, .html"),
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),

@@ -104,7 +104,7 @@ def test_a_field_counts_more_than_that_of_a_config():
 def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
     far = EVENTS[1].copy()
     far["t"] += 1_000_000_000
-    said = ssac.sync(EVENTS[0], far, RIG, "ssac", interval_s=(-1.0, 1.0))
+    said = ssac.sync(EVENTS[0], far, RIG, "ssac", interval_s=np.array([-1.0, 1.0]))
     assert (said.status, said.answer.start) == ("no_common_time", None)
     assert ssac.sync(EVENTS[0], far, RIG, "ssac").answer.start is not None
 
@@ -216,6 +216,7 @@ OPTIONS = [
     ("max_border_fraction", 1.5, "^max_border_fraction must be 0 to 1, got 1.5"),
     ("cameras", (1, 3), r"^cameras: \(1, 3\) are of a rig file, and none was given"),
     ("focal_std", "a", "^focal_std: expected a deviation of 0 or more, got 'a'"),
+    ("focal_std", True, "^focal_std: expected a deviation of 0 or more, got True"),
     ("centre_std_px", -1.0, "^centre_std_px: expected a deviation of 0 or more, got -1.0"),
     ("estimate_readout", True, "^--estimate-readout: expected a track of a frame camera, got ev"),
     ("reading", 3, "^reading: expected a ssac.Reading, got 3"),
