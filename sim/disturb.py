@@ -121,13 +121,17 @@ def noise(view: View, rate_hz: float, rng: np.random.Generator) -> NDArray[Any]:
 
 def _corner(view: View, size_px: int, what: str, rng: np.random.Generator) -> tuple[int, int]:
     """Draw the first column and row of a square that lies within the view."""
+    _check_fits(view, size_px, what)
+    x0 = int(rng.integers(0, view.width - size_px + 1))
+    return x0, int(rng.integers(0, view.height - size_px + 1))
+
+
+def _check_fits(view: View, size_px: int, what: str) -> None:
     if size_px > min(view.width, view.height):
         raise SimError(
             f"disturbance: {what} of {size_px} x {size_px} px does not fit into a view of "
             f"{view.width} x {view.height} px: make it smaller"
         )
-    x0 = int(rng.integers(0, view.width - size_px + 1))
-    return x0, int(rng.integers(0, view.height - size_px + 1))
 
 
 N_BRANCHES = 12
@@ -319,6 +323,14 @@ def record_disturbed(
             "the second object flies at random, but the trajectory is a file's, which both would "
             "fly: leave out one of them"
         )
+    if disturb.second_object and config.effects.frame_gap_s and config.frames.rate_hz:
+        raise SimError(
+            "the second object's events would fill the gaps in which frames are read out: set "
+            "frame_gap_s to 0 (--effect frame_gap_s=0), or leave the second object out"
+        )
+    view = View(*config.resolution, 0.0)
+    _check_fits(view, disturb.lamp_px, "a lamp")
+    _check_fits(view, CLUSTER_PX * bool(disturb.hot_clusters), "a hot cluster")
     n_flights = 2 if disturb.second_object else 1
     recording = simulate(config, seed, lambda share: progress(share / n_flights))
     second = None

@@ -60,7 +60,10 @@ def _load_array(path: Path) -> Float32Array:
 def _load_image(path: Path) -> Float32Array:
     if not path.is_file():
         raise SimError(f"cannot read the background {path}: there is no such file")
-    image = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    except cv2.error as error:  # too many pixels for OpenCV
+        raise SimError(f"cannot read the background {path}: {error.err}") from error
     if image is None:
         raise SimError(f"cannot read the background {path}: it is not an image")
     if image.ndim == 3 and (image == image[..., :1]).all():  # a grey one that is stored as colours

@@ -24,8 +24,8 @@ Vector3 = tuple[float, float, float]
 Attitude = Callable[[FloatArray], Rotation]
 
 MAX_DRAWS = 100  # of a random trajectory, before its configuration is refused
-# Segments of a spline, 400 s by default, beyond which dense matrices take gigabytes, and hardly a
-# trajectory stays near the origin from end to end. Longer splines use sparse matrices.
+# Segments of a spline, 400 s by default, beyond which dense matrices take gigabytes: longer ones
+# use sparse matrices, and are drawn anew only where they leave the circle.
 LONG_SEGMENTS = 2000
 _REDRAWN_S = 1.0  # time redrawn on each side of where a long trajectory leaves the circle
 
@@ -111,7 +111,7 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     [-1, 1] at regular times, times its multiplier, plus its offset, and smoothed by a B-spline.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn again
-    (one in six by default); if it has more than `LONG_SEGMENTS` segments, only near where it
+    (one in 40 by default); if it has more than `LONG_SEGMENTS` segments, only near where it
     leaves. SimError when none of MAX_DRAWS trajectories stays within the circle.
     """
     n_poses = round(config.duration_s * config.sampling_hz)

@@ -153,8 +153,8 @@ def _views(n: int, draw: Callable[[], FloatArray | None], camera: Camera) -> lis
         if points_W is not None:
             views.append(points_W)
     raise SimError(
-        f"calibration: of {MAX_TRIES} places for the board too few are in view of {camera.name}: "
-        "take a smaller one, or hold it elsewhere"
+        f"calibration: of {MAX_TRIES} places for the board too few are in view, of "
+        f"{camera.name} or of both: take a smaller one, or hold it elsewhere"
     )
 
 

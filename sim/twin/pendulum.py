@@ -69,7 +69,8 @@ def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator)
             return drawn
     raise SimError(
         f"{MAX_DRAWS} random swings all went more than {config.max_radius_m:g} m away from the "
-        "point that the cameras look at: lower hand_m or start_rad, or raise max_radius_m"
+        "point that the cameras look at, or let the wire go slack: lower hand_m or start_rad, or "
+        "raise max_radius_m"
     )
 
 

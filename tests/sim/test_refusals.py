@@ -143,7 +143,7 @@ CASES = [
      r"all went more than 0.001 m away.*lower hand_m"),
     (lambda: CalibrationConfig(n_views=2), "a board of 3 x 3 corners or more and 3 views or more"),
     (lambda: calibrated_camera(BENCH.cameras[0], CalibrationConfig(square_m=0.5), rng()),
-     "too few are in view of cam1: take a smaller one"),
+     "too few are in view, of cam1 or of both: take a smaller one"),
     *((lambda c=c: simulate(replace(QUICK, **c), 1), text) for c, text in (
         ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
         ({"drone_file": Path("missing.stl"), "drone_size_m": 0.0}, "number of metres, got 0"),
