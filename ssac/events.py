@@ -16,6 +16,7 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
 US_PER_S = 1_000_000
+LONGEST_GAP_US = 3600 * US_PER_S  # longest pause between two events of a recording
 WRAP_S = 2**24 * 1e-6  # after which a 24-bit counter of microseconds wraps around
 QUANTA_S = (0.010, 0.001)  # steps to which some recorders round times
 
@@ -116,6 +117,12 @@ def check_events(events: Events, width: int | None, height: int | None, name: st
         raise SsacError(
             f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
             f"{t[i - 1]} us: copy or record it again if it is damaged, and sort it if it is not"
+        )
+    if t[-1] - t[0] > LONGEST_GAP_US and (steps_us := np.diff(t)).max() > LONGEST_GAP_US:
+        i = int(np.argmax(steps_us)) + 1
+        raise SsacError(
+            f"{name}: the clock leaps by {steps_us[i - 1] / US_PER_S:.0f} s at event {i}: cut the"
+            " recording there"
         )
     for field, size in (("x", width), ("y", height)):
         if size is not None and (most := events[field].max()) >= size:

@@ -42,6 +42,8 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
 
     `blames_input` are further error types that, like SsacError and OSError, blame the input.
     """
+    if sys.stderr is None:  # closed by the parent process: errors are no results
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr: names may be no UTF-8

@@ -17,7 +17,7 @@ import numpy as np
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
-from ssac.files.damage import Reading
+from ssac.files.damage import Reading, check_is_file
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
 from ssac.files.rigs import RIG_SUFFIXES
 from ssac.files.ros_bags import file_of
@@ -39,6 +39,8 @@ def check_outputs(cameras: Sequence[Path], rig: Path, given: SimpleNamespace) ->
     """Raise SsacError for outputs, numbered ones too, that cannot be written or are inputs."""
     n, synced, plot = len(cameras), given.write_synced, given.plot
     if synced is not None:
+        if file_of(cameras[1]) == cameras[1]:  # a bag's topic is looked for later
+            check_is_file(cameras[1])
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(cameras[1]) else WRITTEN)
     if given.write_rig is not None:
         check_written(given.write_rig, RIG_SUFFIXES)

@@ -21,12 +21,10 @@ import numpy as np
 
 from ssac.arrays import Events, IntArray, Mask, Pixels
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, EventFile, SizePx, check_events
+from ssac.events import LONGEST_GAP_US, US_PER_S, EventFile, SizePx, check_events
 
 REPEATED = 32
 """Fewest equal words or events in a row that no sensor writes: a block was overwritten."""
-
-_LONGEST_GAP_US = 3600 * US_PER_S  # longest pause between two events of a recording
 
 # A moving object gives thousands of events a second, for minutes. A lower rate over more than
 # LONGEST_S, or over 1000 events within _SHORTEST_S, suggest times in another unit.
@@ -111,7 +109,8 @@ def side_px(value: Any, said: str, path: Path) -> int:
     """Return a sensor's width or height [px] that a file states; SsacError, with `said`, if bad."""
     most = (1 << 16) - 1  # largest value of an event's field x or y
     try:
-        side = int(value)
+        number = np.asarray(value).astype(np.float64).item()  # of an array of one number too
+        side = int(number) if number.is_integer() else 0
     except (TypeError, ValueError, OverflowError):
         side = 0
     if not 1 <= side <= most:
@@ -206,7 +205,7 @@ def _disorder(t: IntArray, x: Pixels, y: Pixels) -> tuple[int, int, int, int]:
         if t[i] < t[i - 1]:
             n_back += 1
             most_back_us = max(most_back_us, latest_us - t[i])
-        elif step_us > _LONGEST_GAP_US or step_us < 0:  # < 0 on overflow of 64 bits
+        elif step_us > LONGEST_GAP_US or step_us < 0:  # < 0 on overflow of 64 bits
             n_leaps += 1
         latest_us = max(latest_us, t[i])
         n_same = n_same + 1 if step_us == 0 and x[i] == x[i - 1] and y[i] == y[i - 1] else 1
@@ -219,7 +218,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
     """Sort or cut events whose times run back or leap; look for repeated events."""
     t = events["t"]
     n_back, most_back_us, n_leaps, n_repeated = _disorder(t, events["x"], events["y"])
-    if n_back and not n_leaps and most_back_us < 1000:  # the disorder that drivers cause
+    if n_back and most_back_us < 1000:  # the disorder that drivers cause
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
         if not reading.sort:
             raise SsacError(
@@ -228,22 +227,23 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
             )
         warnings.warn(f"{path}: {late[0]} events came {late[1]} and were sorted", stacklevel=3)
         events, n_back = events[np.argsort(t, kind="stable")], 0
+        t = events["t"]
     elif n_back and not reading.allow_damaged:
         return events  # `check_events` refuses them
     signs: list[str] = []
     if n_leaps:
-        signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
+        signs.append(f"{n_leaps} leaps of time by more than {LONGEST_GAP_US / US_PER_S:g} s")
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if reading.allow_damaged and (n_back or n_leaps):
-        steps_us, is_back = np.diff(t), t[1:] < t[:-1]
-        is_cut = is_back | (steps_us > _LONGEST_GAP_US) | (steps_us < 0)
-        n_events = len(events)
+        steps_us, n_events = np.diff(t), len(events)
+        is_cut = (steps_us > LONGEST_GAP_US) | (steps_us < (-999 if reading.sort else 0))
         events = max(np.split(events, np.flatnonzero(is_cut) + 1), key=len)
+        events = events[np.argsort(events["t"], kind="stable")]
         lost = n_events - len(events)
         signs.append(
             f"time runs back or leaps: {lost} of {n_events} events "
-            f"({100.0 * lost / n_events:.2g} %) are left out"
+            f"({100.0 * lost / n_events:.3g} %) are left out"
         )
     refuse_damaged(path, signs, reading)
     return events

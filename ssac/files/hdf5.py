@@ -9,7 +9,7 @@ Links, and data in other files, are refused.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
                     f"{cd.dtype}: convert it again"
                 )
             has_lost = refuse_damaged(path, _signs_of_loss(cd), reading)
-            events = _read_blocks(len(cd), cd.__getitem__, path)
+            events = _read_blocks([cd], cd.__getitem__, path)
         elif all(column is not None for column in columns.values()):
             check_lengths({field: column.shape for field, column in columns.items()}, str(path))
             # Of lost times the zeros show, and are left out; of lost coordinates they do not.
@@ -53,7 +53,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
             if lost:
                 raise SsacError(f"{path}: is damaged: {'; '.join(lost)}: copy or record it again")
             events = _read_blocks(
-                len(columns["t"]), lambda block: {f: columns[f][block] for f in "txyp"}, path
+                columns.values(), lambda block: {f: columns[f][block] for f in "txyp"}, path
             )
         else:
             has = f"{sorted(file)[:5]}{' and more' if len(file) > 5 else ''}"
@@ -114,11 +114,17 @@ def save_events_h5(path: Path, events: Events, width: int | None, height: int | 
 
 
 def _read_blocks(
-    n_events: int, read: Callable[[slice], Mapping[str, NDArray[Any]]], path: Path
+    kept: Collection[h5py.Dataset],
+    read: Callable[[slice], Mapping[str, NDArray[Any]]],
+    path: Path,
 ) -> Events:
+    """Read all events, whole chunks of the largest at a time, as HDF5 decodes each as a whole."""
+    n_events = max(map(len, kept))
     events = np.empty(n_events, dtype=EVENT_DTYPE)
-    for first in range(0, n_events, EVENTS_PER_BLOCK):
-        block = slice(first, first + EVENTS_PER_BLOCK)
+    per_chunk = max(one.chunks[0] if one.chunks else 1 for one in kept)
+    step = per_chunk * max(1, EVENTS_PER_BLOCK // per_chunk)
+    for first in range(0, n_events, step):
+        block = slice(first, first + step)
         columns = read(block)
         for field in "txyp":
             events[field][block] = field_values(field, columns[field], str(path))

@@ -14,6 +14,7 @@ import struct
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -83,14 +84,22 @@ def file_of(path: Path) -> Path:
     return path if found is None else found[0]
 
 
+@cache
+def _kinds(bag: Path, written_ns: int) -> dict[str, str]:
+    """Types of all topics; a compressed bag is decompressed as a whole each time it is opened."""
+    del written_ns  # one that is written anew is read anew
+    with readable(bag, _READABLE), _reader(bag) as reader:
+        return {str(one.topic): str(one.msgtype) for one in reader.connections}
+
+
 def topic_of(path: Path) -> Topic:
     """Find the topic that a path names, or the only one that can be used; SsacError if none can."""
     found = bag_of(path)
     if found is None:
         raise SsacError(f"{path}: there is no such bag: check the path")
     bag, wanted = found
-    with readable(bag, _READABLE), _reader(bag) as reader:
-        kinds = {str(one.topic): str(one.msgtype) for one in reader.connections}
+    about = bag / _METADATA if bag.is_dir() else bag
+    kinds = _kinds(bag, about.stat().st_mtime_ns)
     of_events = [name for name, kind in kinds.items() if kind in _KINDS and kind != _POINTS]
     usable = of_events or [name for name, kind in kinds.items() if kind == _POINTS]
     if wanted:

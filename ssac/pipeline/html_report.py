@@ -249,7 +249,7 @@ def _cards_of_many(network: NetworkAnswer, units: Sequence[str]) -> list[Card]:
 
 
 def _offset_card(name: str, t_d_s: float, std_s: float, t_ref_s: float, first: int = 1) -> Card:
-    scale, unit, digits = (1e3, "ms", 3) if abs(t_d_s) < 1.0 else (1.0, "s", 5)
+    scale, unit, digits = (1e3, "ms", 3) if abs(t_d_s) < 1.0 else (1.0, "s", 6)
     sure = _interval(scale * t_d_s, scale * std_s, unit, digits)
     if np.isfinite(t_ref_s):
         sure += f"; at {t_ref_s:.3f} s of camera {first}'s clock"

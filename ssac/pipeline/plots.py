@@ -170,7 +170,9 @@ def draw_costs(axes: Axes, answer: Answer) -> None:
     estimate, t_d_s = answer.estimate, best_s(answer)
     offsets_s, costs = estimate.candidates_s, estimate.costs
     if not np.isfinite(costs).any():  # the method kept none: take those of its F
-        offsets_s = np.arange(*answer.paired.config.offsets_s, 2e-3, dtype=np.float64)
+        low_s, high_s = answer.paired.config.offsets_s
+        n = int(np.clip((high_s - low_s) / 2e-3, 2, 2000))  # all pairs are in memory at once
+        offsets_s = np.linspace(low_s, high_s, n, dtype=np.float64)
         costs = d_avg_px(answer, offsets_s)
     # Clocks may be years apart: without a base, ticks would look the same.
     base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
@@ -180,7 +182,9 @@ def draw_costs(axes: Axes, answer: Answer) -> None:
     else:
         marker = "." if len(offsets_s) <= 300 else ""
         axes.plot(offsets_s - base_s, costs, "-", marker=marker, color=BLUE, lw=1.2, ms=3)
-        axes.set_ylabel("$d_{avg}$ [px]")
+        # Refused after the search over all offsets, it has that search's costs.
+        is_relative = estimate.F is None and answer.start is not None and answer.start.refusal
+        axes.set_ylabel("distance / width of path" if is_relative else "$d_{avg}$ [px]")
         axes.set_ylim(bottom=0.0)
     for k, other_s in enumerate(estimate.alternatives_s.tolist()):
         name = "_" if k else "also possible"
@@ -215,17 +219,17 @@ def draw_epipolar(canvas: Canvas, answer: Answer) -> None:
     F, views = np.asarray(answer.estimate.F), answer.paired
     time_s, pairings = _instant_of(answer)
     at_s = np.array([time_s])
+    *before_s, aligned_s = pairings  # before, both clocks read the same, whatever the skew
+    shown_s = [time_s for _ in before_s] + [float(views.on_clock_2(at_s, aligned_s)[0])]
     p1_px = views.motion1.at(at_s).positions_px
-    p2s_px = [
-        views.motion2.at(views.on_clock_2(at_s, offset_s)).positions_px for offset_s in pairings
-    ]
+    p2s_px = [views.motion2.at(np.array([at])).positions_px for at in shown_s]
     distances_px = [float(epipolar_distance(F, p1_px, p2_px)[0]) for p2_px in p2s_px]
     reach_px = float(np.clip(2.0 * max(distances_px), 40.0, 150.0))
     rows = canvas.subplots(len(pairings), 2, squeeze=False)
-    parts = zip(rows, pairings.items(), p2s_px, distances_px, strict=True)
-    for (left, right), (offset_s, name), p2_px, distance_px in parts:
+    parts = zip(rows, pairings.values(), shown_s, p2s_px, distances_px, strict=True)
+    for (left, right), name, time_2_s, p2_px, distance_px in parts:
         _draw_events(left, answer, 0, time_s, reach_px)
-        _draw_events(right, answer, 1, time_s + offset_s, reach_px)
+        _draw_events(right, answer, 1, time_2_s, reach_px)
         (p1,), (p2,), (line_1,) = p1_px, p2_px, epipolar_lines_1(F, p2_px)
         normal = line_1[:2]
         foot = p1 - (normal @ p1 + line_1[2]) / (normal @ normal) * normal
@@ -235,7 +239,7 @@ def draw_epipolar(canvas: Canvas, answer: Answer) -> None:
         left.plot(*p1, **_POINT, label="$p_1$, $p_2$")
         right.plot(*p2, **_POINT)
         left.set_title(f"Camera 1 at {time_s:.4f} s: $d$ = {distance_px:.2f} px", fontsize="medium")
-        right.set_title(f"Camera 2 at {time_s + offset_s:.4f} s: {name}", fontsize="medium")
+        right.set_title(f"Camera 2 at {time_2_s:.4f} s: {name}", fontsize="medium")
         for axes, centre in ((left, p1), (right, p2)):
             axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
             axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)

@@ -56,6 +56,9 @@ def text_of(rows: Rows) -> str:
     lines, width = [], columns(sys.stdout) - _NAME
     for name, value in rows:
         first, *others = folded(value, width)
+        if len(name) >= _NAME:  # a camera's, after its file
+            lines.append(name)
+            name = ""
         lines += [f"{name:{_NAME}}{first}", *(f"{'':{_NAME}}{other}" for other in others)]
     return "\n".join(lines)
 

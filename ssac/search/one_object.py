@@ -307,8 +307,12 @@ def _chosen(
         replace(objects[k], n_seen=1, pieces=[objects[k].pieces[i] for i in sorted(pieces[k])])
         for k in pair
     ]
+    back = None if interval_s is None else (-interval_s[1], -interval_s[0])
     for k in set(range(len(objects))) - set(pair):
-        found_by = [_matched(one, objects[k], interval_s, rules) for one in alone]
+        found_by = [
+            _matched(one, objects[k], interval_s if place < k else back, rules)
+            for place, one in zip(pair, alone, strict=True)
+        ]
         fits = [one for one in found_by if isinstance(one, Match)]
         best = max(fits, key=lambda one: one.common, default=None)
         pieces[k] = set() if best is None else {both[1] for both in best.pairs}

@@ -102,6 +102,10 @@ def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
         )
         found = refused_or_left(tmp_path / name, *said, Reading(sort=True))
         np.testing.assert_array_equal(found, expected)
+    mixed["t"][N // 2 :] -= 3000  # which none sorts
+    save_events_h5(path := tmp_path / "cam1.h5", mixed, WIDTH, HEIGHT)
+    with pytest.warns(UserWarning, match=r"2000 of 4000 events \(50 %\) are left out"):
+        assert len(load_events(path, Reading(allow_damaged=True, sort=True)).events) == N // 2
 
 
 def test_events_that_are_repeated_32_times_are_damage_but_not_in_text(tmp_path):

@@ -140,6 +140,15 @@ def test_three_cameras_keep_one_flight(two_flights):
     assert np.mean(np.ptp(np.array(is_second)[:, by_all], axis=0)) < 0.05
 
 
+def test_an_interval_on_one_side_of_zero_holds_for_any_three_cameras(two_flights):
+    one, other = two_flights[0]
+    early = third_camera(4, 5)[0]
+    early = denoised(early[: len(early) // 2])  # seen for less, it is matched with the others' pair
+    cameras = early, one.delayed(0.4), other.delayed(0.8)
+    (near, _), (wide, _) = (one_object(cameras, RULES, interval) for interval in ((0.2, 1.0), NEAR))
+    assert all(np.array_equal(a.events, b.events) for a, b in zip(near, wide, strict=True))
+
+
 def test_a_camera_that_saw_other_things_is_refused_without_events(two_flights, monkeypatch):
     monkeypatch.setattr(retries, "WAYS", ())
     third = denoised(third_camera(6, 7)[0])
