@@ -221,7 +221,10 @@ def _bound(line: ast.stmt) -> set[str]:
     hidden = {id(one) for target in loops for one in ast.walk(target)}  # bound inside alone
     names = (one for one in inside if isinstance(one, ast.Name) and id(one) not in hidden)
     stored = {one.id for one in names if isinstance(one.ctx, ast.Store)}
-    return stored | {one.name for one in inside if isinstance(one, _DEFINING)} or {_ALWAYS}
+    found = stored | {one.name for one in inside if isinstance(one, _DEFINING)}
+    if isinstance(line, (ast.Assign, ast.AnnAssign)):
+        return found or {_ALWAYS}
+    return found | {_ALWAYS}  # a loop, say, which may change what others bind
 
 
 def _is_prose(line: ast.stmt) -> bool:

@@ -136,7 +136,7 @@ def run_studies(
     if twice:
         raise SsacError(f"{twice[0]} would be written twice: run one by one, or rename a TOML file")
     for study in studies:
-        check_own(study, out)
+        check_own(study, out, part)
     made = set(files)
     for study in studies if part == WHOLE else ():
         check_reads(study, out, made)
@@ -182,7 +182,7 @@ def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
         *([f"peak memory of a worker: {peak_mb:.0f} MB"] if peak_mb else []),
         f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB",
     ]
-    failed = runs[runs["status"] != "ok"]
+    failed = runs[runs["status"] != "ok"].fillna({"method": "others", "variant": "others"})
     of = next((name for name in ("method", "variant") if name in failed), "status")
     for (name, status), group in failed.groupby([of, "status"]):
         lines.append(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}")

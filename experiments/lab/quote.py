@@ -20,7 +20,7 @@ Numbers = Mapping[str, Callable[[Results], str]]
 """Functions by name, each of which returns a number's text as it stands in a page."""
 
 _TABLE, _MINUTES = "table.", "minutes."
-_CODE = r"^```.*?^```|`[^`\n]*`"
+_CODE = r"^```.*?^```|`<!--n:[^`\n]*`|`(?:(?!<!--n:)[^`\n])*`"
 _QUOTED = r"<!--n:(?P<name>[^>]*?)-->(?P<text>.*?)<!--/n-->"
 _OPEN = re.compile(r"<!--n:(?P<open>[^>]*?)-->")
 _CODE_OR_QUOTED = re.compile(rf"{_CODE}|{_QUOTED}|{_OPEN.pattern}", re.DOTALL | re.MULTILINE)

@@ -212,9 +212,9 @@ def check_reads(study: Study, out: Path, made_before: Collection[str] = ()) -> N
         )
 
 
-def check_own(study: Study, out: Path) -> None:
-    """Raise SsacError, before hours of work, when a user's own grid would replace our results."""
-    if study.is_committed or not (out / SUMS_FILE).is_file():
+def check_own(study: Study, out: Path, shard: tuple[int, int] = WHOLE) -> None:
+    """Raise SsacError, before hours of work, when a grid or a shard would replace our results."""
+    if (study.is_committed and shard == WHOLE) or not (out / SUMS_FILE).is_file():
         return
     ours = set(study.files) & set(read_checksums(out))
     if ours:
@@ -341,6 +341,8 @@ def merge(
     study = study_of(wholes[0])
     if out.name != study.runs.file:
         raise SsacError(f"{out}: the runs of this study are named {study.runs.file or 'none'}")
+    if study.files.count(out.name) > 1:  # of an ablation, whose table has the shards' name
+        raise SsacError(f"{out}: would be written twice: name it {study.name}_runs.csv")
     n_cells = len(study.cells(**wholes[0].get("options", {})))
     missing = sorted(set(range(n_cells)) - set(lines))
     if missing:

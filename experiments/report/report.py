@@ -74,7 +74,10 @@ def read_results(folder: Path) -> dict[str, Any]:
         runs, compared = runs_of(results), comparison(results)
         made: dict[str, list[str]] = {}  # distinct provenances, each with the names of its results
         for name in sorted(
-            {"esim_20", *(one.name.split(".")[0] for one in folder.glob(f"*{PROVENANCE}"))}
+            {
+                "esim_20",
+                *(one.name.removesuffix(PROVENANCE) for one in folder.glob(f"*{PROVENANCE}")),
+            }
         ):
             for entry in results.provenances(name):
                 made.setdefault(json.dumps(entry), []).append(name)

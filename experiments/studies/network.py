@@ -203,7 +203,7 @@ def _path_figures(answer: NetworkAnswer, truth: FlightTruth) -> dict[str, Any]:
         "path_point_rmse_mm": 1e3 * path_off_best_point_m(path, true_m, truth),
         "path_std_mm": float(np.sqrt(np.mean(std_mm**2))),
         "path_held": float(np.mean(np.abs(own) <= NORMAL_95 * deviations_m)),
-        "path_seen": float(len(path) * np.median(np.diff(path.times_s)) / truth.times_s[-1]),
+        "path_seen": float((len(path) - 1) * np.median(np.diff(path.times_s)) / truth.times_s[-1]),
     }
 
 
@@ -382,7 +382,10 @@ FOUR = (
         (made_of("network.csv", camera_table, "network_runs"),),
         numbers={"table.network": page_table},
         checks=(
-            ("shares are shares", no_row("network_runs", "path_held < 0 or path_held > 1")),
+            ("shares are shares", no_row(
+                "network_runs",
+                "path_held < 0 or path_held > 1 or path_seen < 0 or path_seen > 1",
+            )),
             ("errors are their deviations times what is normalised", no_row(
                 "network_runs", "abs(abs(t_d_normalised) * t_d_std_ms - t_d_error_ms) > 1e-6")),
             ("and so are those of skews", no_row(

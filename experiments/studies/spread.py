@@ -71,7 +71,7 @@ class SpreadRow(RunRow):
 
 def cells(cam1: File, cam2: File, rig: File) -> list[SpreadCell]:
     """List every method with every window."""
-    files = (cam1, cam2, rig)
+    files = Path(cam1), Path(cam2), Path(rig)  # texts, as shards keep them
     digests = tuple(map(_digest, files))
     return [
         SpreadCell(files, digests, *window, method)

@@ -72,7 +72,12 @@ def comparison(results: Results) -> pd.DataFrame:
 def page(results: Results) -> str:
     """Write `results/README.md`."""
     runs = runs_of(results)
-    made_with, *_ = results.provenances("runs")  # several: of shards
+    shards = results.provenances("runs")
+    sums = {
+        name: sum(one[name] for one in shards) for name in ("wall_time_s", "recordings_simulated")
+    }
+    command = shards[0]["command"].partition(" --shard")[0]
+    made_with = shards[0] | sums | {"command": command}
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 

@@ -109,6 +109,9 @@ def table(runs):
 SHOWN = [cell for cell in "ab"]
 
 LOOKS.update(b=2)
+SIZE = 5
+for one in "cd":
+    LOOKS[one] = SIZE
 
 @register
 def other():
@@ -129,7 +132,8 @@ def command():
         ("first(n)", "first(n + 1)", True),
         ("status: str", "status: bytes", True),
         ("b=2", "b=20", True),  # binds no name: it always counts
-        ("return 0", "return 2", True),  # so does what a decorator may register ...
+        ("SIZE = 5", "SIZE = 50", True),  # so does a loop
+        ("return 0", "return 2", True),  # and what a decorator may register ...
         ("return 1", "return 2", False),  # ... but one of options does not
         ("second(runs)", "second(2 * runs)", False),
         ('"ab"', '"abc"', False),  # a comprehension's own variable, named as an argument is

@@ -99,6 +99,8 @@ def test_an_unknown_name_is_stale_and_a_comment_that_is_not_closed_an_error(root
         page.write_text(text)
         (line,) = stale_numbers(root, NUMBERS)
         assert "a.md:3: <!--n:b-->" in line
+    page.write_text("a ` alone, <!--n:minutes.squares-->`99`<!--/n-->, ` too\n")
+    assert any("99" in line for line in stale_numbers(root, NUMBERS))
 
 
 def test_names_of_our_numbers_are_single_words_and_of_one_study_each():
