@@ -34,6 +34,8 @@ class Network:
     repeats: float = 1.0  # sightings worth one independent one, as errors are correlated
     lasting: float = 1.0  # the same, with the part of such errors that the path absorbs
     constraints: Mapping[Pair, Link] = field(default_factory=dict)  # by places of states
+    freedom: float = 0.0  # degrees of it that the jerk was estimated from; 0: not yet
+    square: float = 1.0  # of the path's size, at that time
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +193,10 @@ def _rescaled(network: Network) -> Network:
 def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved]:
     """Take damped steps while they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
-    damping, least_damping = 0.0, 1e-4
+    damping, least_damping = 0.0, 1e-9  # more would freeze what the Schur complement leaves weak
     are_free = any(np.isin(offset + layout.FOCAL.start, free) for offset in border_offsets(network))
     for _ in range(network.rules.steps):
-        for _ in range(6):
+        for _ in range(12):
             solved = solve(normal, free, damping)
             steps = np.split(solved.border, border_offsets(network)[1:-1])
             moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
@@ -233,9 +235,19 @@ def _normal(network: Network) -> tuple[Normal, float]:
     first, weights = jerks(network.path.knots_s)
     values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
+    # A jerk that is estimated from the path pulls the path's size to 0, by its degrees of freedom.
+    # With the path integrated out, its volume would pull the other way; here to first order.
+    centred, square = _about_its_mean(coefficients)
+    normal.right_path += network.freedom / square * centred.ravel()
+    cost -= 0.5 * network.freedom * float(np.log(square / network.square))
     prior_rows, residuals = known(network)
     normal.add_rows(prior_rows, residuals)
     return normal, cost + 0.5 * float(np.sum(residuals**2))
+
+
+def _about_its_mean(coefficients: Array) -> tuple[Array, float]:
+    centred = coefficients - coefficients.mean(axis=0)
+    return centred, float(np.sum(centred**2))
 
 
 def _weighed(network: Network, solved: Solved) -> Network:
@@ -262,8 +274,8 @@ def _weighed(network: Network, solved: Solved) -> Network:
     values = products(first, weights, network.path.coefficients)
     unsure = solved.path_covariances(first, weights, False)
     trace = np.trace(unsure, axis1=1, axis2=2)
-    freedom = 3.0 * len(first) - float(np.sum(trace)) / network.jerk**2
-    jerk = float(np.sqrt(np.sum(values**2) / max(freedom, 1.0)))
+    freedom = max(3.0 * len(first) - float(np.sum(trace)) / network.jerk**2, 1.0)
+    jerk = float(np.sqrt(np.sum(values**2) / freedom))
     mean = float(np.mean(repeats)) if repeats else 1.0
     return replace(
         network,
@@ -271,6 +283,8 @@ def _weighed(network: Network, solved: Solved) -> Network:
         jerk=max(jerk, 1e-12),
         repeats=mean,
         lasting=1.0 + (mean - 1.0) * _taken_up(network),
+        freedom=freedom,
+        square=_about_its_mean(network.path.coefficients)[1],
     )
 
 

@@ -114,7 +114,12 @@ def compare(
         in_time = at_equal_times(estimate, truth, clock, with_scale)
         start = in_time.similarity
         # In the truth's gaps and beyond its ends, its nearest point belongs to another time.
-        points = points[interpolated(truth).covers(clock.cam2_from_cam1(estimate.times_s))]
+        inside = interpolated(truth).covers(clock.cam2_from_cam1(estimate.times_s))
+        if np.count_nonzero(inside) < 3:
+            raise SsacError(
+                "the truth has gaps at nearly all of the estimate's times: give more points of both"
+            )
+        points = points[inside]
     fit, distances_m = registered(points, _shape(truth), start, with_scale)
     frame = start or fit
     return Comparison(

@@ -74,12 +74,14 @@ def seen_by(track, name, has_frames=False, camera=CAMERA, spreads_px2=None) -> S
     return sightings(shaped, camera, name, has_frames, RULES.points)
 
 
-def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -> Flight:
-    """Make a flight; the seed changes nothing but the noise."""
+def make_flight(
+    n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX, side_deg: float = 60.0
+) -> Flight:
+    """Make a flight, seen up to `side_deg` from both sides; the seed changes only the noise."""
     rng = np.random.default_rng(5)
     knots_s = 0.8 * np.arange(-5.0, DURATION_S / 0.8 + 6.0)
     spread = rng.uniform(-1.0, 1.0, (len(knots_s) - 6, 3)) * [7.0, 5.0, 7.0]
-    angles, t = np.deg2rad(np.linspace(-60.0, 60.0, n_cameras)), np.array([0.0, 0.0, 20.0])
+    angles, t = np.deg2rad(np.linspace(-side_deg, side_deg, n_cameras)), np.array([0.0, 0.0, 20.0])
     R_1, *_ = from_world = Rotation.from_euler("y", angles).as_matrix()
     poses = [(R @ R_1.T, t - R @ R_1.T @ t) for R in from_world]
     path = BSpline(knots_s, spread @ R_1.T + t, 5)

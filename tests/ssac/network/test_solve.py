@@ -61,6 +61,16 @@ def test_clocks_poses_and_the_path_are_found_with_where_it_holds_and_how_well() 
     assert np.median(off_m / path.deviations_m) > 0.15  # nor are deviations far too wide
 
 
+def test_a_path_keeps_its_size_though_nearly_parallel_rays_hardly_tell_it() -> None:
+    """Bug: its smoothness pulled the size to 0, by 18 %."""
+    sizes = []
+    for flight in (make_flight(2, seed, side_deg=5.0) for seed in range(4)):
+        path = flight.solved().paths[0].path
+        found, true = (np.ptp(m, axis=0) for m in (path.positions_m, flight.path(path.times_s)))
+        sizes.append(np.mean(found / true))
+    assert np.mean(sizes) == pytest.approx(1.0, abs=0.1)  # noise leaves some 6 % in each
+
+
 def test_the_order_of_the_cameras_does_not_matter() -> None:
     flight, answer = solved()
     order, links = [2, 0, 3, 1], {}
