@@ -1,6 +1,6 @@
-"""Variants of the method `tangency`, and what limits it (docs/tangency.md).
+"""Variants of the tangents of `tangency`, and what limits the method (docs/tangency.md).
 
-All variants start from the joint refinement. To see what limits the method, the truth replaces
+All variants start from the joint refinement, and end before a body joins. To see what limits the method, the truth replaces
 parts of its estimate in turn: the tangents to the outline, their velocities, the point of the body,
 and the pose; or the method is told that the clocks have no relative skew, as is true.
 
@@ -169,7 +169,7 @@ def study_figure(means: pd.DataFrame) -> Figure:
     own = method_looks(["tangency"])["tangency"].color
     colors = np.where(variants["variant"] == AS_IT_IS, own, "0.65")
     height_in = 1.4 + 0.22 * len(variants)
-    figure = error_bars("Variants of tangency", height_in, variants, "variant", colors)
+    figure = error_bars("Variants of the tangents alone", height_in, variants, "variant", colors)
     figure.axes[0].plot(
         variants[_WORST], np.arange(len(variants)), "|", color=ACCENT, ms=9, mew=1.5,
         label="$t_d$ at the worst angle",
@@ -180,7 +180,7 @@ def study_figure(means: pd.DataFrame) -> Figure:
 
 
 def error_bars(title: str, height_in: float, means: pd.DataFrame, of: str, color: Any) -> Figure:
-    """Draw mean errors as bars, labelled by a column; lines show those of the method as it is."""
+    """Draw mean errors as bars, labelled by a column; lines show those as it is."""
     title = f"{title}: mean errors of {means['runs'].max()} flights"
     figure, (axes,) = panels(title, height_in, columns=len(ERRORS), sharey=True)
     lines = np.arange(len(means))
@@ -188,7 +188,7 @@ def error_bars(title: str, height_in: float, means: pd.DataFrame, of: str, color
         ax.grid(visible=False)
         ax.barh(lines, means[error.column], color=color, height=0.7)
         own = float(means.loc[means[of] == AS_IT_IS, error.column].iloc[0])
-        ax.axvline(own, color="0.3", lw=0.8, ls=":", label="the method as it is")
+        ax.axvline(own, color="0.3", lw=0.8, ls=":", label=AS_IT_IS)
         ax.set_xlabel(error.label, fontsize=9)
     axes[0].set_yticks(lines, means[of], fontsize=8)
     return figure
@@ -324,7 +324,7 @@ _LEFT = {error.heading: f"{{{error.column}:.3f}}" for error in ERRORS.values()}
 STUDIES = (
     Study(
         "tangency",
-        "Variants of the method tangency",
+        "Variants of the tangents of the method tangency, without a body",
         lambda: [VariantCell(*one, *of) for one in flights() for of in STARTED.items()],
         Measure(load_started, variant_row, VariantRow),
         Runs("tangency_runs.csv", ("angle_deg", "flight", "variant")),

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssac.arrays import Array
+from ssac.clock import PPM
 from ssac.estimate import Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs, linearise
 from ssac.methods.clocks import checked_clock, with_coarse_skew
@@ -44,7 +45,22 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)
     choice = Choice(views, refine)
-    return choice.confirmed(certain(choice.settled(start), views.rules.verdict), start)
+    found = choice.confirmed(certain(choice.settled(start), views.rules.verdict), start)
+    return _with_any_skew(found, views)
+
+
+def _with_any_skew(found: Estimate, views: TwoViews) -> Estimate:
+    """Say that the skew is only known by its prior, where an object on a line left it open."""
+    prior_ppm = views.config.prior_ppm
+    if not found.has_offset or found.clock_covariance is not None or not prior_ppm > 0.0:
+        return found
+    return replace(
+        found,
+        t_ref_s=0.5 * sum(views.common_s(found.t_d_s)),
+        skew_ppm=float(np.nan_to_num(found.skew_ppm)),
+        skew_std_ppm=prior_ppm,
+        clock_covariance=np.diag([found.t_d_std_s, PPM * prior_ppm]) ** 2,
+    )
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:

@@ -53,7 +53,10 @@ def candidate_offsets(views: TwoViews) -> Array:
     """
     low, high = views.config.offsets_s
     n_steps = int(np.floor((high - low) / FINE_STEP_S + 1e-9))
-    offsets = low + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
+    (start1, end1), (start2, end2) = views.motion1.span_s, views.motion2.span_s
+    ends = (np.array([start2 - end1, end2 - start1]) - low) / FINE_STEP_S  # of any overlap
+    first, last = np.clip([np.floor(ends[0]), np.ceil(ends[1])], 0, n_steps).astype(np.int64)
+    offsets = low + FINE_STEP_S * np.arange(first, last + 1, dtype=np.float64)
     start, end = views.overlap_s(offsets)
     lengths = end - start
     least = views.rules.search.min_overlap * np.max(lengths, initial=0.0)
@@ -65,6 +68,7 @@ def search_offsets(
 ) -> OffsetSearch:
     """Search the offsets of two views exhaustively or coarse to fine, as the config says."""
     candidates_s, rules = candidate_offsets(views), views.rules.search
+    coarse_cost, cost = _in_parts(coarse_cost), _in_parts(cost)
     if views.config.exhaustive:
         return exhaustive_search(cost, candidates_s)
     # The first step is shorter for motion that turns back more often.
@@ -72,6 +76,17 @@ def search_offsets(
     steps = rules.coarsest_steps * rules.ordinary_swing_hz / max(swing_hz, 1e-12)
     coarsest = int(np.clip(steps, rules.least_coarse_steps, rules.coarsest_steps))
     return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, returns_s)
+
+
+def _in_parts(cost: Cost) -> Cost:
+    """Take some offsets at a time: the pairs of all of them would fill the memory."""
+    at_once = 500
+
+    def of_parts(offsets_s: Array) -> Array:
+        starts = range(at_once, len(offsets_s), at_once)
+        return np.concatenate([cost(part) for part in np.split(offsets_s, starts)])
+
+    return of_parts
 
 
 def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:

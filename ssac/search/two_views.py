@@ -229,7 +229,9 @@ class Shutters:
             camera = (views.rig.cam1, views.rig.cam2)[k]
             track = views.motions[k].sharp_at(times_s[k])
             rows = distort_points(camera, track.positions_px)[:, 1] / max(camera.height - 1, 1)
-            moved = -rows[:, None] * track.velocities_px_s
+            motion = views.motions[k]  # noise of short windows' velocities passes for information
+            wide = replace(motion, half_window_s=3.0 * motion.half_window_s)
+            moved = -rows[:, None] * wide.sharp_at(times_s[k]).velocities_px_s
             nothing = np.zeros_like(moved)
             found.append((moved, nothing) if k == 0 else (nothing, moved))
         return found

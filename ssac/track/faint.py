@@ -294,7 +294,7 @@ def smoothed_path(
     states, covariances = np.zeros((n, 2)), np.zeros((n, 3))
     predicted, before = np.zeros((n, 2)), np.zeros((n, 3))
     x, v = 0.0, 0.0
-    xx, xv, vv = unknown, 0.0, unknown
+    xx, xv, vv = unknown, 0.0, min(unknown, max_speed_variance)
     for k in range(n):
         if k > 0:
             x += step_s * v

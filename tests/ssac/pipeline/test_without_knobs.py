@@ -132,6 +132,7 @@ def test_an_offset_of_a_straight_path_is_not_given_either_if_it_is_unsure():
     seen, verdict = (*frame_tracks(scene, 0.3), scene.unknown_rig), PLAIN.rules.verdict
     found = ssac.sync(*seen)
     assert found.status == Status.DEGENERATE_POSE
+    assert found.clock_std_s(0.0) == pytest.approx(5e-3, rel=0.2)  # by 1000 ppm from the middle
     for times in (1.1, 0.9):
         limited = replace(verdict, max_t_d_std_s=times * found.t_d_std_s)
         again = ssac.sync(*seen, rules=replace(PLAIN.rules, verdict=limited))
