@@ -12,9 +12,9 @@ the sum of J_i J_i' / noise_i^2, J_i being the derivative of the Sampson distanc
 The positions are those of the true track of the drone's origin at the sample times that are valid
 in the recording; for tangents the origin stands for the points of contact, whose bound is 1 to 6 %
 lower. That of `tangency` is of its tangents alone: the body's point, a quarter of its samples, is
-not counted, so that it may do better. Sigma is the robust standard deviation (1.4826 times the median absolute value) of the
-weighted Sampson distances of the method's own samples under the true offset and pose, and the noise
-of a sample is sigma over its weight, whose median is 1.
+not counted, so that it may do better. Sigma is the robust standard deviation (1.4826 times the
+median absolute value) of the weighted Sampson distances of the method's own samples under the true
+offset and pose, and the noise of a sample is sigma over its weight, whose median is 1.
 
 An efficiency below one has three causes: errors of neighbouring samples, mostly a bias that turns
 with the object, correlate by 0.7 to 0.85, and the bound takes them as independent; errors far

@@ -1,8 +1,9 @@
 """Variants of the tangents of `tangency`, and what limits the method (docs/tangency.md).
 
-All variants start from the joint refinement, and end before a body joins. To see what limits the method, the truth replaces
-parts of its estimate in turn: the tangents to the outline, their velocities, the point of the body,
-and the pose; or the method is told that the clocks have no relative skew, as is true.
+All variants start from the joint refinement, and end before a body joins. To see what limits the
+method, the truth replaces parts of its estimate in turn: the tangents to the outline, their
+velocities, the point of the body, and the pose; or the method is told that the clocks have no
+relative skew, as is true.
 
 All see the same flights, 100 to 105 of 10 s at each angle, which are in no table, so that nothing
 is tuned on what is reported there.
