@@ -39,7 +39,7 @@ ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> re
 
 studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (three hours) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency oracle
-	@.venv/bin/ssac by-hand --first 6250
+	@.venv/bin/ssac by-hand --first 5650
 
 figures: ## the paper's figures, and those of all studies anew -> results/*.png
 
