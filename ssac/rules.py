@@ -447,7 +447,7 @@ class NetworkRules:
     block_s: float = 1.0  # in which an object turns: correlations that last longer are small
     first_rounds: int = 6  # of estimating deviations and smoothness anew, with affine clocks
     rounds: int = 12  # the same with all parameters
-    steps: int = 20  # of least squares at given deviations and smoothness
+    steps: int = 6  # of least squares at given deviations and smoothness
     settled: float = 3e-4  # largest relative change of a settled solution's cost in a round
     gate: float = 6.0  # in the end, sightings further from their place, in deviations, are left out
     shape_step_s: float = 0.01  # between times of the object's second moments
