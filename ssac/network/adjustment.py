@@ -154,9 +154,9 @@ def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple
     for _ in range(rounds):
         network, cost, solved = _minimised(network, free)
         network = _weighed(network, solved)
-        if abs(last - cost) < network.rules.settled * abs(cost):
+        if abs(last - cost[0]) < network.rules.settled * cost[0]:
             break
-        last = cost
+        last = cost[0]
     return network, solve(_normal(network)[0], free)
 
 
@@ -190,13 +190,13 @@ def _rescaled(network: Network) -> Network:
     return replace(network, states=states, path=path)
 
 
-def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved]:
+def _minimised(network: Network, free: IntArray) -> tuple[Network, Array, Solved]:
     """Take damped steps while they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
-    damping, least_damping = 0.0, 1e-9  # more would freeze what the Schur complement leaves weak
+    damping, least_damping = 0.0, 1e-4
     are_free = any(np.isin(offset + layout.FOCAL.start, free) for offset in border_offsets(network))
     for _ in range(network.rules.steps):
-        for _ in range(12):
+        for _ in range(6):
             solved = solve(normal, free, damping)
             steps = np.split(solved.border, border_offsets(network)[1:-1])
             moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
@@ -204,21 +204,24 @@ def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved
             tried = replace(network, states=moved, path=path)
             tried = _rescaled(tried) if are_free else tried
             other, tried_cost = _normal(tried)
-            if tried_cost <= cost * (1.0 + 1e-9):
+            if np.any(tried_cost <= cost + 1e-9 * cost[0]):
                 break
             damping = max(10.0 * damping, least_damping)
         else:
             return network, cost, solved
-        gained = cost - tried_cost
+        gained = np.max(cost - tried_cost)
         network, normal, cost = tried, other, tried_cost
         damping *= 0.1 if damping > least_damping else 0.0
-        if gained < 0.1 * network.rules.settled * cost:
+        if gained < 0.1 * network.rules.settled * cost[0]:
             break
     return network, cost, solved
 
 
-def _normal(network: Network) -> tuple[Normal, float]:
-    """Give the normal equations, and the cost: Cauchy's loss, and the priors' squares."""
+def _normal(network: Network) -> tuple[Normal, Array]:
+    """Give the normal equations, and the cost without and with the pull of the path's volume.
+
+    It is Cauchy's loss, and the priors' squares.
+    """
     coefficients, offsets = network.path.coefficients, border_offsets(network)
     normal, cost = Normal(len(coefficients), int(offsets[-1])), 0.0
     for k, seen in enumerate(network.cameras):
@@ -235,14 +238,15 @@ def _normal(network: Network) -> tuple[Normal, float]:
     first, weights = jerks(network.path.knots_s)
     values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
-    # A jerk that is estimated from the path pulls the path's size to 0, by its degrees of freedom.
-    # With the path integrated out, its volume would pull the other way; here to first order.
-    centred, square = _about_its_mean(coefficients)
-    normal.right_path += network.freedom / square * centred.ravel()
-    cost -= 0.5 * network.freedom * float(np.log(square / network.square))
     prior_rows, residuals = known(network)
     normal.add_rows(prior_rows, residuals)
-    return normal, cost + 0.5 * float(np.sum(residuals**2))
+    cost += 0.5 * float(np.sum(residuals**2))
+    # A jerk that is estimated from the path pulls the path's size to 0, by its degrees of freedom.
+    # With the path integrated out, its volume would pull the cameras the other way, to first order.
+    centred, square = _about_its_mean(coefficients)
+    normal.pull += network.freedom / square * centred.ravel()
+    pulled = 0.5 * network.freedom * float(np.log(square / network.square))
+    return normal, np.array([cost, cost - pulled])
 
 
 def _about_its_mean(coefficients: Array) -> tuple[Array, float]:

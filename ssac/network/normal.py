@@ -123,6 +123,7 @@ class Normal:
         self.border = np.zeros((n_border, n_border))
         self.right_path = np.zeros(m)
         self.right_border = np.zeros(n_border)
+        self.pull = np.zeros(m)  # on the path, which only the cameras follow
 
     def add(self, linear: Linear) -> None:
         """Add the sightings of one camera."""
@@ -192,7 +193,7 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     band[0] *= 1.0 + damping
     factor = np.asarray(cholesky_banded(band, lower=True), np.float64)
     half, spans = _forward(factor, normal.mixed, free)
-    alone, _ = _forward(factor, normal.right_path[None], np.zeros(1, np.int64))
+    alone, _ = _forward(factor, np.stack([normal.right_path, normal.pull]), np.arange(2))
     border = normal.border[np.ix_(free, free)]
     schur = border + damping * np.diag(np.diag(border))
     right = normal.right_border[free]
@@ -200,7 +201,7 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     for start, stop, active in blocks:
         part = half[active, start:stop]
         schur[np.ix_(active, active)] -= part @ part.T
-        right[active] -= part @ alone[0, start:stop]
+        right[active] -= part @ alone[:, start:stop].sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(border), 1e-300))
     # Scaled, as offsets, angles and pixels are of very different size.
     chol, low = cho_factor(schur / np.outer(scale, scale), lower=True)
@@ -208,7 +209,7 @@ def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     step = cho_solve((chol, low), right)
     for start, stop, active in blocks:
         alone[0, start:stop] -= step[active] @ half[active, start:stop]
-    path = _backward(factor, alone)[0][0]
+    path = _backward(factor, alone[:1])[0][0]
     full = np.zeros(len(normal.right_border))
     full[free] = step
     return Solved(path.reshape(-1, 3), full, free, factor, half, (chol, low))
