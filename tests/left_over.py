@@ -10,7 +10,6 @@ from ssac.files.whole_file import host as this_host
 from ssac.files.whole_file import temporary_path
 
 ELSEWHERE = "elsewhere-01234567"
-"""A host that is not this one."""
 
 
 def ended_process() -> int:

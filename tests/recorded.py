@@ -7,7 +7,6 @@ import h5py
 import numpy as np
 import yaml
 
-from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import save_events_h5
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 from tests.ssac.tracks import rig_document
@@ -64,7 +63,3 @@ def add_frames(path: Path, offset_s: float) -> None:
     times_us = np.rint((FRAME_S * (np.arange(n) + 0.5) + offset_s) * 1e6).astype(np.int64)
     with h5py.File(path, "a") as file:
         file["frames/t"], file["frames/images"] = times_us, images
-
-
-def empty_events() -> np.ndarray:
-    return np.empty(0, EVENT_DTYPE)

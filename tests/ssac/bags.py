@@ -39,6 +39,7 @@ def write_bag(path, topics):
     """
     is_ros1, is_alone = path.suffix == ".bag", path.suffix in (".mcap", ".db3")
     types = store(is_ros1)
+    header = partial(types.types["std_msgs/msg/Header"], *((3,) if is_ros1 else ()))
     plugins = rosbag2.StoragePlugin
     storage = plugins.MCAP if path.suffix == ".mcap" else plugins.SQLITE3
     how = {} if is_ros1 else {"version": 9, "storage_plugin": storage}
@@ -47,7 +48,8 @@ def write_bag(path, topics):
         for topic, (kind, messages) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=types)
             for t_us, fields in messages:
-                message = types.types[kind](header=_header(types, is_ros1, t_us), **fields(types))
+                about = header(_time(types)(t_us), "camera frame")
+                message = types.types[kind](header=about, **fields(types))
                 serialize = types.serialize_ros1 if is_ros1 else types.serialize_cdr
                 # A bag's own time is half a second later, so that it is no time of an event.
                 writer.write(connection, int(t_us * 1000) + 10**9 // 2, serialize(message, kind))
@@ -104,9 +106,3 @@ def parts(events):
 def _time(types):
     time = types.types["builtin_interfaces/msg/Time"]
     return lambda t_us: time(*divmod(int(t_us * 1000), 10**9))
-
-
-def _header(types, is_ros1, t_us):
-    header = types.types["std_msgs/msg/Header"]
-    first = (3,) if is_ros1 else ()
-    return header(*first, _time(types)(t_us), "camera frame")

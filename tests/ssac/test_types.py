@@ -26,11 +26,6 @@ from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, time_quan
 from ssac.rules import Rules, VerdictRules
 
 
-def _events(t):
-    n = len(t)
-    return events_from_arrays(t, np.arange(n) % 10, np.arange(n) % 7, np.arange(n) % 2)
-
-
 @pytest.mark.parametrize("dtype", [np.int8, np.int64, bool])
 def test_every_value_is_kept_but_a_polarity_of_minus_one_and_arguments_stay(dtype):
     p = np.array([0 if dtype is bool else -1, 1, 1], dtype=dtype)
@@ -65,7 +60,8 @@ def _with(events, field, value, at=3):
     ],
 )
 def test_unusable_events_are_refused(change, message):
-    events = _events([0, 1, 2, 3])
+    each = np.arange(4)
+    events = events_from_arrays(each, each, each, each % 2)
     check_events(events, 10, 7, "camera 1")
     check_events(events, None, None, "camera 1")
     with pytest.raises(SsacError, match=message):
@@ -281,21 +277,17 @@ def other(value):
     return not value if isinstance(value, bool) else value + 1
 
 
-def with_rule(name, value):
-    return configs_of({f"ssac.rules.{name}": value})[1]
-
-
 @pytest.mark.parametrize("name", RULES)
 def test_a_sweep_sets_a_rule_by_its_dotted_name_and_one_that_makes_no_sense_is_named(name):
     value = RULES[name]
-    config = checked(with_rule(name, other(value)))
+    config = checked(configs_of({f"ssac.rules.{name}": other(value)})[1])
     assert dict(_flat(asdict(config.rules))) == RULES | {name: other(value)} != RULES
     assert hash(config) != hash(Config())  # so results under other rules are not reused
     for wrong in (None, "many", [value], *(() if isinstance(value, bool) else (np.nan, True))):
         if isinstance(value, tuple) and not isinstance(wrong, list):
             wrong = (wrong, *value[1:])
         with pytest.raises(SsacError, match=rf"rules\.{name}(\[0\])?: expected [^\n]*$"):
-            checked(with_rule(name, wrong))
+            checked(configs_of({f"ssac.rules.{name}": wrong})[1])
 
 
 def test_rules_of_another_kind_are_refused_and_any_number_is_taken():

@@ -22,11 +22,6 @@ def aligned(recorded):
     return load_recording(recorded.folder, -T_D_S)
 
 
-def with_events(chain, events):
-    """Return a chain like the given one, but with other events of camera 1."""
-    return Chain((Observation(events), chain.recorded(1)), chain.rig)
-
-
 def test_fig_5_shows_d_avg_which_is_least_at_the_true_offset(aligned) -> None:
     """The axes show 1 s and 3 ms each way. Up to 2 ms, as the mean of events is no fixed point."""
     shown = zip(drawing.d_avg_figure(aligned).axes, (1.0, 3.0), (5e-3, 2.0), strict=True)
@@ -70,8 +65,8 @@ def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch
 def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
     rate_hz = 2e4  # of the whole sensor
     added = noise(WIDTH, HEIGHT, rate_hz / (WIDTH * HEIGHT), 8_000_000)
-    with_noise = with_events(aligned, merged(aligned.recorded(0).events, added))
-    clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise)
+    cameras = Observation(merged(aligned.recorded(0).events, added)), aligned.recorded(1)
+    clean, noisy = map(preprocessing_figure, (aligned, Chain(cameras, aligned.rig)))
     raw, kept, raw_noisy, kept_noisy = (
         int(axes.get_title().split("\n")[1].split(",")[0].replace(" ", ""))
         for axes in (*clean.axes[:2], *noisy.axes[:2])
@@ -89,7 +84,7 @@ def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
     events = aligned.recorded(0).events
     middle_us = 1e6 * np.mean(STRETCH_S)
     away = np.abs(events["t"] - middle_us) < 200_000  # the object stands still for 0.4 s
-    gap = with_events(aligned, events[~away])
+    gap = Chain((Observation(events[~away]), aligned.recorded(1)), aligned.rig)
     times_s, x, _ = preprocessing_figure(gap).axes[2].lines[0].get_data_3d()
     inside = np.abs(times_s - 1e-6 * middle_us) < 0.17  # less the half-window of 20 ms and a margin
     assert np.isnan(x[inside]).all()

@@ -23,11 +23,11 @@ from sim.render.gl_context import BACKENDS, open_context
 from sim.scene.trajectory import SplineConfig
 from ssac.config import Config
 from ssac.errors import SsacError, WriteError
+from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import METHODS
 from tests.experiments.lab.squares import flipped
 from tests.left_over import ended_process
-from tests.recorded import empty_events
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
@@ -173,7 +173,7 @@ def folder(tmp_path, monkeypatch):
     """A recording in the cache in `tmp_path`, with its checksums."""
     made = tmp_path / "recordings" / "abcd"
     made.mkdir(parents=True)
-    save_events_h5(made / "cam1.h5", empty_events(), 346, 260)
+    save_events_h5(made / "cam1.h5", np.empty(0, EVENT_DTYPE), 346, 260)
     (made / "rig.yaml").write_text("cam0:\n")
     module.save_sums(made)
     monkeypatch.setattr(Cache, "_recording_path", lambda *_: made)
@@ -213,11 +213,6 @@ def test_an_entry_that_cannot_be_moved_is_one_error(folder, tmp_path):
         Cache(tmp_path).recording_folder(SimConfig(), 0)
 
 
-@pytest.fixture
-def lock(tmp_path):
-    return tmp_path / "claims" / ".abc.claim"
-
-
 def left_by(lock, old, new):
     """Write the lock of another process: ours, with `old` replaced by `new`; return its text."""
     with claimed(lock):
@@ -227,8 +222,8 @@ def left_by(lock, old, new):
     return lock.read_text()
 
 
-def test_what_a_killed_process_held_is_free_at_once(lock):
-    kept = lock.with_name(".kept.claim")
+def test_what_a_killed_process_held_is_free_at_once(tmp_path):
+    lock, kept = tmp_path / "claims" / ".abc.claim", tmp_path / "claims" / ".kept.claim"
     left = left_by(lock, f"pid={os.getpid()}\n", f"pid={ended_process()}\n")
     with claimed(lock) as is_ours:
         assert is_ours
@@ -240,8 +235,8 @@ def test_what_a_killed_process_held_is_free_at_once(lock):
             assert list(lock.parent.iterdir()) == [kept]
 
 
-def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(lock, monkeypatch):
-    now_s = 0.0
+def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(tmp_path, monkeypatch):
+    lock, now_s = tmp_path / "claims" / ".abc.claim", 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     text = left_by(lock, socket.gethostname(), "elsewhere")  # its process id is in use here
 

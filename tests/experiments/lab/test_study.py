@@ -242,9 +242,7 @@ def test_a_task_that_kills_its_workers_is_a_crash_and_others_go_on(tmp_path, mon
         outcome = run(tmp_path)
     assert outcome.n_deaths == MAX_DEATHS
     reason = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
-    ended = {
-        (*row,) for row in outcome.runs[["number", "status", "reason"]].itertuples(index=False)
-    }
+    ended = set(outcome.runs[["number", "status", "reason"]].itertuples(index=False, name=None))
     assert ended == {(2, CRASHED, reason), *((number, "ok", "") for number in (0, 1, 3))}
     assert "given up" in capsys.readouterr().err
     # A crash is not cached: the next run repeats that task, and nothing else.

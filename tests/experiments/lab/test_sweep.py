@@ -83,42 +83,37 @@ def holders(cache):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("sweep")
+    folder = tmp_path_factory.mktemp("sweep")
+    (folder / "tiny.toml").write_text(TOML.format(methods='"event_rate", "zncc_f"'))
+    return folder
 
 
 @pytest.fixture(scope="module")
-def config(folder):
-    path = folder / "tiny.toml"
-    path.write_text(TOML.format(methods='"event_rate", "zncc_f"'))
-    return path
-
-
-@pytest.fixture(scope="module")
-def whole(folder, config):
+def whole(folder):
     """The sweep in one piece, by one process."""
     out = folder / "whole.csv"
-    sweep(config, out, folder / "cache", "--workers", "1")
+    sweep(folder / "tiny.toml", out, folder / "cache", "--workers", "1")
     return out
 
 
-def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder, config, whole):
+def test_a_sweep_says_what_drew_and_its_merged_shards_are_the_same_bytes(folder, whole):
     ended = set(pd.read_csv(whole)[["method", "status"]].itertuples(index=False, name=None))
     assert ended == {("event_rate", "ok"), ("zncc_f", "skipped")}
     content = json.loads(whole.with_suffix(".provenance.json").read_text())
     assert content["gl"]["backend"] in ("osmesa", "egl")
     parts, out = [folder / "part1.csv", folder / "part2.csv"], folder / "merged.csv"
     for index, part in enumerate(parts, start=1):
-        sweep(config, part, folder / "cache", "--shard", f"{index}/2", "--workers", "1")
+        sweep(folder / "tiny.toml", part, folder / "cache", "--shard", f"{index}/2", "--workers", 1)
     run("merge", out, *reversed(parts))
     assert out.read_bytes() == whole.read_bytes()
     assert (folder / "merged_cells.csv").read_bytes() == (folder / "whole_cells.csv").read_bytes()
 
 
-def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, config, whole):
+def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, whole):
     cache, outs = folder / "cache_shared", (folder / "one.csv", folder / "other.csv")
-    other = started(folder, config, outs[0], cache, "--workers", "1")
+    other = started(folder, folder / "tiny.toml", outs[0], cache, "--workers", "1")
     at_work(cache, lambda: other.poll() is None)
-    told = [sweep(config, outs[1], cache, "--workers", "1"), other.communicate()[1]]
+    told = [sweep(folder / "tiny.toml", outs[1], cache, "--workers", "1"), other.communicate()[1]]
     assert other.returncode == 0, told
     simulated = [int(re.search(r"(\d+) of them simulated", said)[1]) for said in told]
     assert sum(simulated) == 3, told
@@ -145,11 +140,9 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(fol
     assert not [path for path in cache.rglob("*") if path.is_file()]
 
 
-def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_bytes(
-    folder, config, whole
-):
+def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_bytes(folder, whole):
     out, cache = folder / "killed.csv", folder / "cache_killed"
-    run = started(folder, config, out, cache, "--workers", "2")
+    run = started(folder, folder / "tiny.toml", out, cache, "--workers", "2")
     os.kill(at_work(cache, lambda: run.poll() is None), signal.SIGKILL)
     while "a worker ended by SIGKILL on the flight of 3 s at 90 deg with seed" not in (
         said := run.stderr.readline()
@@ -163,7 +156,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
     run.communicate(timeout=60)  # its workers hold its stderr: they must end with it
     while any(Path("/proc", str(pid)).exists() for pid in holders(cache)):
         time.sleep(0.01)  # until the system takes note of its end, a process seems to hold a lock
-    sweep(config, out, cache, "--workers", "1")
+    sweep(folder / "tiny.toml", out, cache, "--workers", "1")
     assert out.read_bytes() == whole.read_bytes()
     assert not list(cache.rglob(".*"))
 
@@ -189,7 +182,7 @@ def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end
             killed = beside.submit(
                 lambda: os.kill(at_work(cache, lambda: not out.exists()), signal.SIGKILL)
             )
-            sweep(config, out, cache, "--scheduler", address)
+            sweep(folder / "tiny.toml", out, cache, "--scheduler", address)
         killed.result()
         assert out.read_bytes() == whole.read_bytes()
         assert len(list((cache / "runs").rglob("*.json"))) == 3 * 2 * 2

@@ -20,10 +20,6 @@ def place(method: str, flights: Sequence[int] = tuple(range(10))) -> pd.Series:
     return (RUNS[list(of)] == pd.Series(of)).all(axis=1) & RUNS["flight"].isin(flights)
 
 
-def cell(table: pd.DataFrame) -> pd.Series:
-    return table[(table["angle_deg"] == 60.0) & (table["t_d_ms"] == 50.0)].iloc[0]
-
-
 def with_status(rows: pd.Series) -> pd.DataFrame:
     return RUNS.assign(status=RUNS["status"].mask(rows, "search_bound"))
 
@@ -61,7 +57,8 @@ def test_columns_are_those_of_the_methods_in_order():
 
 def test_means_and_deviations_are_over_the_flights_without_a_failed_run_which_is_counted():
     runs = with_status(place("ssac", [3]))
-    before, after = (cell(esim_table(table, 10.0)) for table in (RUNS, runs))
+    tables = (esim_table(one, 10.0).set_index(["angle_deg", "t_d_ms"]) for one in (RUNS, runs))
+    before, after = (table.loc[60.0, 50.0] for table in tables)
     for row, flights in ((before, range(10)), (after, [0, 1, 2, *range(4, 10)])):
         for error in ("t_d_error_ms", "r_error_deg", "t_error_deg"):
             values = RUNS.loc[place("ssac", flights), error].to_numpy()

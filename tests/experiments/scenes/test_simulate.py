@@ -1,7 +1,6 @@
 """`ssac simulate` as its users run it, and the configurations that its options make."""
 
 import inspect
-import json
 from dataclasses import asdict, replace
 from functools import partial
 from unittest.mock import Mock
@@ -27,14 +26,11 @@ from ssac.files.rigs import load_rig
 from ssac.network.tum import read_path
 from tests.experiments.command import run
 from tests.left_over import ended_process, made_by
+from tests.ssac.command import read_json
 
 FAST = ["--duration", "2", "--max-step", "2", "--lattice", "2", "0"]
 
 simulate = partial(run, "simulate")
-
-
-def truth_of(folder):
-    return json.loads((folder / "truth.json").read_text())
 
 
 @pytest.mark.render
@@ -44,7 +40,7 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
     files = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json", "truth.tum"}
     assert files == FILES  # of a demo, which replaces no others
     assert {path.name for path in plain.iterdir()} == {*files, "cam1.txt", "cam2.txt"}
-    truth = truth_of(plain)
+    truth = read_json(plain / "truth.json")
     assert truth["t_d_s"] == 0.05
     assert "disturbances" not in truth["provenance"]
     path = read_path(plain / "truth.tum")
@@ -58,7 +54,7 @@ def test_the_folder_holds_what_the_design_says(tmp_path):
 def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(tmp_path):
     options = ["--cameras", 3, "--angle", 50, "--t-d", 0.05, "--frame-rate", 0, "--lamp", 4]
     simulate(tmp_path / "a", *FAST, *options)
-    cameras = truth_of(tmp_path / "a")["cameras"]
+    cameras = read_json(tmp_path / "a" / "truth.json")["cameras"]
     assert [one["time_offset_s"] for one in cameras.values()] == [0.0, 0.05, 0.1]
     views = [np.array(one["T_C_W"])[:3, :3] for one in cameras.values()]
     for k in (1, 2):
@@ -83,7 +79,7 @@ def test_the_same_arguments_give_the_same_bytes_of_what_they_say(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     a, b = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in "ab")
     assert a == b
-    truth = truth_of(tmp_path / "a")
+    truth = read_json(tmp_path / "a" / "truth.json")
     assert np.abs(truth["drone_position_W_m"]).max() < 0.2 * 3.6
     effects = replace(SENSOR_PRESETS["davis346-dim"].effects, camera2_light=0.5)
     assert truth["provenance"]["config"]["effects"] == provenance.plain(effects)

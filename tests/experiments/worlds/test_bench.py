@@ -12,8 +12,8 @@ from experiments.worlds import bench
 from experiments.worlds.bench import ALL, IMPERFECTIONS, KINDS, NONE, all_but, bench_of, only
 from sim.twin.bench import bench_rig
 from sim.twin.calibration import exact
+from ssac.events import EVENT_DTYPE
 from ssac.track.observation import Observation
-from tests.recorded import empty_events
 
 PLACE = (65.06, 10.0, 7)
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
@@ -55,9 +55,9 @@ def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch) -> None:
 
 
 def test_each_camera_sees_the_room_from_its_own_place(monkeypatch) -> None:
-    room = Mock(return_value=empty_events())
+    none = np.empty(0, EVENT_DTYPE)
+    room, nothing = Mock(return_value=none), Observation(none)
     monkeypatch.setattr(bench, "room_events", room)
-    nothing = Observation(empty_events())
     (cell,) = bench.cells_of(bench_of(only("wire"), *PLACE), {}, FLIGHT, (5.0,), ("ssac",))
     bench._recorded(cell, Pair(nothing, nothing, bench.known_rig(cell.bench)))
     assert [call.args[-1] for call in room.call_args_list] == [0, 1]

@@ -282,7 +282,6 @@ def test_leak_events_are_on_and_regular_but_for_their_jitter(light, mismatch, ef
 
 
 def test_leaking_pixels_that_see_change_stay_within_a_threshold():
-    """The level that leaks is never further from the light than the threshold."""
     video, times_s = smooth_video(100, 20, 30), 5e-3 * np.arange(100)
     sensor = sensor_of(video[0], SensorConfig(leak_hz=5.0))
     for k in range(1, 100):

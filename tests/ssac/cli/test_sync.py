@@ -255,47 +255,45 @@ def test_a_readout_that_is_not_stated_is_found_or_said_to_be_taken_for_none(shut
 # --- Three cameras, and the path from two ---
 
 
-@pytest.fixture(scope="module")
-def flown():
-    return make_flight(3)
+FLOWN = make_flight(3)
 
 
 @pytest.fixture(scope="module")
-def files(flown, tmp_path_factory):
+def files(tmp_path_factory):
     """Three tracks of one flight, and their rig."""
     folder = tmp_path_factory.mktemp("many")
     size = {"intrinsics": [900.0, 900.0, 480.0, 300.0], "resolution": [960, 600]}
     entry = rig_document(**size, intrinsics_std=[0.0] * 4)["cam0"]
     files = [folder / name for name in ("cam1.csv", "cam2.csv", "cam3.csv", "rig.yaml")]
-    for file, seen in zip(files, flown.seen, strict=False):
+    for file, seen in zip(files, FLOWN.seen, strict=False):
         save_track(file, PointTrack(seen.times_s, seen.points_px))
     files[3].write_text(yaml.safe_dump({f"cam{k}": entry for k in range(3)}))
     return files
 
 
-def rms_off_m(flown, file):
+def rms_off_m(file):
     """Return the rms distance [m] of a written path from the true one."""
     path = read_path(file)
-    off_m = np.linalg.norm(path.positions_m - flown.path(path.times_s), axis=1)
+    off_m = np.linalg.norm(path.positions_m - FLOWN.path(path.times_s), axis=1)
     return float(np.sqrt(np.mean(off_m**2)))
 
 
-def test_three_cameras(flown, files, tmp_path):
+def test_three_cameras(files, tmp_path):
     *cameras, rig = files
     path_file, rig_file = tmp_path / "path.tum", tmp_path / "rig.yaml"
-    outputs = ("--trajectory", path_file, "--write-rig", rig_file, "--distance", flown.distance_m)
+    outputs = ("--trajectory", path_file, "--write-rig", rig_file, "--distance", FLOWN.distance_m)
     result, found = answered(tmp_path, *cameras, "--rig", rig, *outputs)
     assert "cam3" in result.stdout
     assert [camera["status"] for camera in found["cameras"]] == ["ok"] * 3
     for k, camera in enumerate(found["cameras"][1:], 1):
-        true_s = flown.shown_s(k, camera["t_ref_s"])
+        true_s = FLOWN.shown_s(k, camera["t_ref_s"])
         # Readouts of frames are unknown, so deviations include 10 ms for them.
         assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
         assert camera["t_d_std_s"] < 0.02
         knots = zip(*(one.values() for one in camera["clock_knots"]), strict=True)
         stray_ms = 1e3 * np.interp(camera["t_ref_s"], *knots)
         assert f"straight line, from which it strays by {stray_ms:+.2f} ms then" in result.stdout
-    assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flown.distance_m, rel=1e-4)
+    assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(FLOWN.distance_m, rel=1e-4)
     cam2, cam3 = found["cameras"][1:]
     rig = load_rig(rig_file, (1, 3))
     np.testing.assert_allclose(rig.T_2_1[:3, :3], cam3["R"], atol=1e-12)  # by way of camera 2
@@ -305,7 +303,7 @@ def test_three_cameras(flown, files, tmp_path):
     # Offsets hold at different times, between which skews of some 100 ppm change them.
     assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
     assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
-    assert rms_off_m(flown, path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
+    assert rms_off_m(path_file) < 0.1  # readouts of 5 ms at some 5 m/s, and noise of 9 mm
     assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see most of it
 
 
@@ -366,12 +364,12 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     [("--distance", "cameras 1 and 2 are not"), ("--positions", ".*: positions of at least 3 cam")],
 )
 def test_a_camera_that_fits_nowhere_gets_no_place_and_no_scale_rests_on_it(
-    flown, files, tmp_path, option, why
+    files, tmp_path, option, why
 ):
     late, stated, rig = (tmp_path / name for name in ("late.csv", "positions.csv", "rig.yaml"))
     save_another(late, 1000.0)
     stated.write_text('camera,x_m,y_m,z_m\n"1",0,0,0\n2,9,0,0\n3,0,9,0\n')
-    near = "--search", *(flown.clocks[1].t_d_s + np.array([-1.0, 1.0]))
+    near = "--search", *(FLOWN.clocks[1].t_d_s + np.array([-1.0, 1.0]))
     options = ("--rig", files[-1], "--write-rig", rig, *near)
     scale = (option, 7 if option == "--distance" else stated)
     args = (files[0], late, files[1], *options, *scale)
@@ -389,7 +387,7 @@ def test_a_camera_that_fits_nowhere_gets_no_place_and_no_scale_rests_on_it(
     assert found["scale_is_known"] is False
 
 
-def test_rtk_sets_the_scale_of_path_and_rig_or_contradicts_and_costs_them(flown, files, tmp_path):
+def test_rtk_sets_the_scale_of_path_and_rig_or_contradicts_and_costs_them(files, tmp_path):
     names = "rtk.csv", "path.csv", "rig.yaml", "page.html"
     rtk, out, rig, page = (tmp_path / name for name in names)
     outputs = ("--trajectory", out, "--write-rig", rig, "--report", page)
@@ -400,20 +398,20 @@ def test_rtk_sets_the_scale_of_path_and_rig_or_contradicts_and_costs_them(flown,
     assert found["status"] == "ok"
     assert [one.exists() for one in (out, rig, page)] == [False, False, True]
     times_s = np.arange(0.5, DURATION_S - 0.5, 0.1)
-    write_path(rtk, Path(times_s, flown.path(times_s)))
+    write_path(rtk, Path(times_s, FLOWN.path(times_s)))
     result, _ = answered(tmp_path, *args)
-    assert rms_off_m(flown, out) < 0.15  # more than with three cameras, as one view is missing
+    assert rms_off_m(out) < 0.15  # more than with three cameras, as one view is missing
     assert read_path(out).deviations_m.shape == read_path(out).positions_m.shape
     assert "which hold from" in result.stderr
     assert f"wrote {rig}, lengths in metres" in result.stderr
     found = load_rig(rig)
     assert found.in_metres
-    assert np.linalg.norm(found.T_2_1[:3, 3]) == pytest.approx(flown.distance_m, rel=0.01)
+    assert np.linalg.norm(found.T_2_1[:3, 3]) == pytest.approx(FLOWN.distance_m, rel=0.01)
 
 
 @pytest.mark.parametrize("unit", ["m", "first_baseline"])
-def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flown, files, tmp_path, unit):
-    R, t_m = flown.poses[1]
+def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(files, tmp_path, unit):
+    R, t_m = FLOWN.poses[1]
     rig, out, again = yaml.safe_load(files[-1].read_text()), tmp_path / "a.csv", tmp_path / "b.yaml"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
     rig["cam1"] |= {"T_cn_cnm1": T_2_1.tolist(), "length_unit": unit}
@@ -421,9 +419,9 @@ def test_the_path_of_known_extrinsics_has_their_scale_if_it_is_told(flown, files
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
     result, _ = answered(tmp_path, *files[:2], *options, "--write-rig", again)
     if unit == "first_baseline":
-        T_2_1[:3, 3] /= flown.distance_m
+        T_2_1[:3, 3] /= FLOWN.distance_m
         assert result.stderr.count("in distances of the first two cameras placed") == 2
     else:
-        assert rms_off_m(flown, out) < 0.03  # 0.15 where the pose is adjusted with the path
+        assert rms_off_m(out) < 0.03  # 0.15 where the pose is adjusted with the path
     np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
     assert load_rig(again).in_metres == (unit == "m")

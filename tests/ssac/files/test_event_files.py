@@ -61,8 +61,7 @@ def evt2_of_a_camera(path, events):
     """Write absolute times: a TIME_HIGH (bits 6 to 33 of t) before each event."""
     words = []
     for t, x, y, p in events.tolist():
-        words.append(0x8 << 28 | t >> 6)
-        words.append(p << 28 | (t & 0x3F) << 22 | x << 11 | y)
+        words += [0x8 << 28 | t >> 6, p << 28 | (t & 0x3F) << 22 | x << 11 | y]
     header = f"% evt 2.0\n% format EVT2;width={WIDTH};height={HEIGHT}\n% end\n".encode()
     path.write_bytes(header + np.array(words, "<u4").tobytes())
 

@@ -309,7 +309,6 @@ def test_far_skews_are_searched_for_with_their_clocks_and_near_ones_are_not(
 
 @pytest.mark.parametrize(("prior_ppm", "status"), [(100.0, "ok"), (25.0, "clock_jump")])
 def test_a_skew_far_from_its_prior_speaks_for_a_jump(prior_ppm, status):
-    """A step of few deviations is a jump only if it bends the skew far from its prior."""
     views = views_of(jumping(18.0, 0.003), skew_prior_ppm=prior_ppm)  # which bends it by 140 ppm
     jump = refine(START, views.by(clock=ClockRules(jump_sigmas=1.0, fewer_sigmas=1.0))).jump
     sigmas = jump.size_s / jump.size_std_s

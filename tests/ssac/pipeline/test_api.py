@@ -229,16 +229,13 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize(("args", "message"), WRONG)
-def test_a_wrong_argument_is_one_clear_error(args, message):
-    with pytest.raises(SsacError, match=message):
-        ssac.sync(*args)
+WRONG += [((ONE, OTHER, RIG), message, {name: value}) for name, value, message in OPTIONS]
 
 
-@pytest.mark.parametrize(("name", "value", "message"), OPTIONS)
-def test_a_wrong_option_is_one_clear_error(name, value, message):
+@pytest.mark.parametrize(("args", "message", "options"), [(*one, {})[:3] for one in WRONG])
+def test_a_wrong_argument_or_option_is_one_clear_error(args, message, options):
     with pytest.raises(SsacError, match=message):
-        ssac.sync(ONE, OTHER, RIG, **{name: value})
+        ssac.sync(*args, **options)
 
 
 def test_a_wrong_camera_or_chain_is_one_clear_error_on_every_path():

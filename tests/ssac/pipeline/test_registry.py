@@ -143,7 +143,6 @@ def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name
 
 @pytest.fixture
 def calls(monkeypatch):
-    """Count the calls of each stage, by its name."""
     counts = Counter()
 
     def counted(name, work, *args, **options):

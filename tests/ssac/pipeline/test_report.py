@@ -36,7 +36,6 @@ from ssac.search.start import Start
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 from tests.html_pages import EVIL, check_page
-from tests.recorded import empty_events
 from tests.ssac.cluttered import noise
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, track_pair
@@ -411,7 +410,8 @@ def test_cameras_that_begin_late_or_have_frames_alone_have_a_page(recorded, tmp_
     shown_s = view["start"] + np.array([0.0, view["frame"] * view["n_frames"]])
     assert shown_s == pytest.approx(other.times_s[[0, -1]], abs=view["frame"])  # whole frames
     seen = opened(recorded.pair, opened_rig(recorded / "rig.yaml", 2))
-    frames = [replace(source.read("images"), events=empty_events()) for source in seen]
+    none = np.empty(0, ssac.EVENT_DTYPE)
+    frames = [replace(source.read("images"), events=none) for source in seen]
     result = ssac.sync(*frames, recorded / "rig.yaml", "zncc_f")
     assert result.has_offset
     check_page(result.report(tmp_path / "frames.html").read_text(encoding="utf-8"))

@@ -85,7 +85,6 @@ def test_a_camera_without_frames_is_never_blind_nor_is_one_whose_object_hides(ra
 @pytest.mark.parametrize("events", [20, 100, 400])
 @pytest.mark.parametrize("swing", [0.0, 0.5])
 def test_edges_that_cross_rows_at_once_are_no_readouts(events, swing):
-    """A small object's events come in volleys, one for each row of pixels that its edge crosses."""
     time_s = np.arange(0.0, 1e-6 * DURATION_US, 1e-4)
     rows = np.cumsum(1e-4 * 80.0 * (1.0 + swing * np.sin(2.0 * np.pi * 0.7 * time_s)))
     crossings_us = 1e6 * np.interp(np.arange(1.0, rows[-1]), rows, time_s)

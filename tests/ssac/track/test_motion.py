@@ -31,12 +31,8 @@ def raw():
     return noisy_flight(make_scene(seed=1, duration_s=3.0), 0.05)[0]
 
 
-@pytest.fixture
-def cleaned(raw):
-    return clean(raw, CAMERA, HOW)
-
-
-def test_what_is_clean_is_not_cleaned_again(cleaned):
+def test_what_is_clean_is_not_cleaned_again(raw):
+    cleaned = clean(raw, CAMERA, HOW)
     assert clean(cleaned, CAMERA, HOW) is cleaned
     # Equal cameras need not be one object, and noise that has been removed does not come back.
     same = Camera(K.copy(), WIDTH, HEIGHT)
@@ -46,8 +42,8 @@ def test_what_is_clean_is_not_cleaned_again(cleaned):
     assert clean(track, CAMERA, HOW) is track
 
 
-def test_noise_leaves_and_all_else_stays_also_where_it_was_skipped_before(raw, cleaned):
-    noisy = clean(raw, CAMERA, Cleaning(False, None))
+def test_noise_leaves_and_all_else_stays_also_where_it_was_skipped_before(raw):
+    cleaned, noisy = (clean(raw, CAMERA, how) for how in (HOW, Cleaning(False, None)))
     assert not noisy.denoised
     assert noisy.events is raw.events
     motion_of(noisy, WINDOWS)  # keeps sums of noisy events, not of clean ones
@@ -62,7 +58,8 @@ def test_noise_leaves_and_all_else_stays_also_where_it_was_skipped_before(raw, c
     assert_same(motion_of(again, WINDOWS), motion_of(cleaned, WINDOWS))
 
 
-def test_another_camera_is_obeyed(cleaned):
+def test_another_camera_is_obeyed(raw):
+    cleaned = clean(raw, CAMERA, HOW)
     before = motion_of(cleaned, WINDOWS)
     other = clean(cleaned, RADTAN, HOW)
     assert other.denoised
