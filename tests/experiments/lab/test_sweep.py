@@ -162,7 +162,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_sweep_goes_on_to_the_same_byte
 
 
 def test_a_dask_scheduler_whose_worker_is_killed_changes_no_byte_and_its_own_end_is_one_line(
-    folder, config, whole, capfd
+    folder, whole, capfd
 ):
     pytest.importorskip("distributed")
     file = folder / "scheduler.json"
