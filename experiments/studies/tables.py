@@ -72,12 +72,12 @@ def comparison(results: Results) -> pd.DataFrame:
 def page(results: Results) -> str:
     """Write `results/README.md`."""
     runs = runs_of(results)
-    shards = results.provenances("runs")
-    sums = {
-        name: sum(one[name] for one in shards) for name in ("wall_time_s", "recordings_simulated")
+    first, *_ = shards = results.provenances("runs")
+    made_with = first | {
+        "command": first["command"].partition(" --shard")[0],
+        "wall_time_s": 60.0 * results.minutes("runs"),
+        "recordings_simulated": sum(one["recordings_simulated"] for one in shards),
     }
-    command = shards[0]["command"].partition(" --shard")[0]
-    made_with = shards[0] | sums | {"command": command}
     return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 

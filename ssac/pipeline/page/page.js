@@ -312,11 +312,10 @@
     scene.path.forEach((p, i) => (i && !ends.has(i - 1) ? pen.lineTo(...to(p)) : pen.moveTo(...to(p))));
     pen.stroke();
     // Where the object is when each camera sees what is shown of it.
+    const first = scene.cameras.find((one) => one.k === pair.cameras[0]);
     const seen = scene.cameras.flatMap((camera) => {
       const i = pair.cameras.indexOf(camera.k);
-      if (i < 0) return [];
-      const first = scene.cameras.find((one) => one.k === pair.cameras[0]);
-      if (!first) return [];
+      if (i < 0 || !first) return [];
       const t = time - first.later + (i ? offset - middle() : 0), k = scene.times.findIndex((one) => one >= t);
       return [{ i, camera, at: k < 1 || ends.has(k - 1) ? null : scene.path[k] }];
     });
