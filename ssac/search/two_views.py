@@ -171,7 +171,8 @@ class TwoViews:
         """How many times the object goes to and fro while both see it: the lesser of two counts."""
         if len(pairs) < 2:
             return 0.0
-        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # gaps cut to 0.5 s
+        steps_s = np.diff(pairs.times_s)  # of long recordings longer than a gap
+        duration_s = float(np.sum(np.minimum(steps_s, max(0.5, 2.0 * float(np.median(steps_s))))))
         some_s = pairs.times_s[:: -(-len(pairs) // 100)]  # enough for the rms speed
         velocities_1 = self.motion1.velocities_at(some_s)
         velocities_2 = self.motion2.velocities_at(self.on_clock_2(some_s, pairs.t_d_s))

@@ -86,6 +86,11 @@ class Look:
     shares: Float32Array  # (n, w, w) covered share of each pixel
     corners_px: Array  # (n, 2) of the first pixel of each, from the principal point; NaN: no image
 
+    def px_per_length(self) -> float:
+        """Return the median scale of the images there are; 0 if there is none."""
+        depths = self.points[np.isfinite(self.corners_px[:, 0]), 2]
+        return float(np.median(self.focal_px[0] / depths)) if len(depths) else 0.0
+
     def coarser(self, factor: int) -> "Look":
         """Return the same view with pixels `factor` times as wide."""
         beyond = -self.shares.shape[1] % factor
@@ -109,8 +114,7 @@ def body_moves(
     if not is_told.any():
         return None
     size = float(np.sqrt(np.median(np.linalg.eigvalsh(moments[is_told])[:, 2])))
-    px_per_length = [float(np.median(look.focal_px[0] / look.points[:, 2])) for look in looks]
-    factor = max(1, *(round(size * scale / rules.full_px) for scale in px_per_length))
+    factor = max(1, *(round(size * look.px_per_length() / rules.full_px) for look in looks))
     looks = [look.coarser(factor) for look in looks]
     times_s, seen, attitudes = _instants(looks, shape_s, moments, rules.step_s)
     if len(attitudes) < rules.least_instants:

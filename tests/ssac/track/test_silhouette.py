@@ -8,10 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac import Camera
+from ssac.config import Config
 from ssac.events import events_from_arrays
 from ssac.rules import BodyRules, SilhouetteRules
+from ssac.search.object_track import shaped_track_of
 from ssac.track import moments
 from ssac.track.body import Look, body_moves
+from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.silhouette import Silhouettes, silhouettes
 from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 from tests.ssac.cluttered import merged, noise
@@ -114,6 +117,28 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(
     # The blur of an edge by a pixel widens the image; its faint half, without events, narrows it.
     scale = np.trace(spread)
     assert told == pytest.approx([spread[0, 0], spread[0, 1], spread[1, 1]], abs=0.08 * scale)
+
+
+def test_a_fast_object_is_whole_though_it_enters_pixels_between_two_samples() -> None:
+    events, times_s, centres, spread = recorded(disc, 37.0)
+    fast = events.copy()
+    fast["t"] //= 15  # 3000 px/s: by 30 px from sample to sample
+    found = found_of(fast, times_s[::15] / 15.0, centres[::15], spread)
+    assert found.known[len(found.known) // 2 :].all()
+    assert off_px(found, centres[::15])[1] < 0.05
+    assert found.spreads_px2[found.known].mean(axis=0)[0] == pytest.approx(spread[0, 0], rel=0.08)
+
+
+def test_other_objects_are_no_part_of_a_silhouette() -> None:
+    events = recorded(disc, 0.0)[0]
+    other = recorded(corner, 0.0)[0].copy()
+    other["y"] += 12
+    seen = Clean(events, camera=CAMERA, denoised=True, recorded=lambda: merged(events, other))
+    (alone, beside) = (
+        shaped_track_of(replace(seen, **more), Config())
+        for more in ({"recorded": lambda: events}, {"used": ObjectsUsed(2, 0.5)})
+    )
+    np.testing.assert_array_equal(beside.spreads_px2, alone.spreads_px2)
 
 
 @pytest.mark.parametrize("luminance", [DARK, BRIGHT])
@@ -288,6 +313,15 @@ def test_last_digits_decide_nothing_of_the_moments_of_two_views(pair: tuple[int,
     # Without the rounding in `moments_of_two`, this is 6e-9 of the largest moment.
     exact = found(0.0)
     assert found(1e-13) == pytest.approx(exact, rel=0.0, abs=1e-10 * np.abs(exact).max())
+
+
+def test_points_without_an_image_do_not_change_the_size_of_the_others() -> None:
+    (look, *others), of_body, _ = drawn("body")
+    unseen = (np.arange(len(TIMES_S)) % 5 < 3)[:, None]
+    look = replace(look, corners_px=np.where(unseen, np.nan, look.corners_px))
+    near = replace(look, points=np.where(unseen, [0.0, 0.0, 1.0], look.points))
+    found, same = (body_moves([one, *others], TIMES_S, of_body, RULES) for one in (look, near))
+    np.testing.assert_array_equal(same, found)
 
 
 def test_too_few_moments_are_refused() -> None:
