@@ -433,6 +433,14 @@ class NetworkRules:
     piece_s: float = 5.0  # between the knots of a clock
     most_pieces: int = 100  # of a clock, at most
     aspect_share: float = 0.2  # of the focal lengths' difference: focus changes both
+    # Of a camera's intrinsics, in deviations; beyond, these are wider: 2.4 at most with right rigs,
+    # 3.3 to 6 with a focal length 1 % off, on `outdoor`'s flights 0, 2, 3, 6 with three cameras.
+    most_pull: float = 3.0
+    most_doubts: int = 8  # times that deviations are widened
+    suspect_times: float = 100.0  # by which the intrinsics of cameras that pairs suspect are freed
+    # By how much, for each suspect, that raises the logarithm of the likelihood, at least. On these
+    # flights: 8 at most for two suspects with right rigs, 84 or more for one 10 to 30 % off.
+    least_gain: float = 6.0
     # Lag of events behind the object, its deviation common to all cameras, and each camera's own:
     # 0.2 px with noise, 0.1 px ideal, within 0.03 px in one kind (flights 900 to 903).
     behind_px: float = 0.15

@@ -217,6 +217,11 @@ def _minimised(network: Network, free: IntArray) -> tuple[Network, Array, Solved
     return network, cost, solved
 
 
+def cost_of(network: Network) -> float:
+    """Return the cost of a network's sightings, priors and smoothness."""
+    return float(_normal(network)[1][0])
+
+
 def _normal(network: Network) -> tuple[Normal, Array]:
     """Give the normal equations, and the cost without and with the pull of the path's volume.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssac.arrays import Array, Mask
-from ssac.network.adjustment import Network, adjust, fit_of
+from ssac.network.adjustment import Network, adjust, cost_of, fit_of
 from ssac.network.graph import Link, Pair, agreeing, supports
 from ssac.network.normal import Solved, knots_for
 from ssac.network.placing import Group, Placed, first_path, grown, place_all, rebased, triangulate
@@ -47,7 +47,57 @@ def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) 
             break
         states = {k: state for k, state in built.states.items() if k != worst}
         built = _first(Placed(states, 0), group, priors, distance)
-    return None if built is None else _whole(built, group.links, body)
+    return None if built is None else _trusted(built, group.links, body)
+
+
+def _trusted(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
+    """Adjust all parameters; intrinsics that contradict the rig's count as less certain.
+
+    Those of cameras that pairs suspect may be too far off to be pulled to their places: they are
+    freed, focal lengths or principal points, if that is far likelier.
+    """
+    found, by = _unpulled(built, links, body), built.network.rules
+    best, most = found, by.least_gain * sum(prior.is_suspect for prior in built.network.priors)
+    for times in ((by.suspect_times, 1.0), (1.0, by.suspect_times)) if most else ():
+        network = replace(
+            built.network,
+            states=found.network.states,
+            path=found.network.path,
+            priors=[
+                prior.less_certain(*times) if prior.is_suspect else prior
+                for prior in built.network.priors
+            ],
+        )
+        other = _unpulled(replace(built, network=network), links, body)
+        gain = _gain(found.network, other.network)
+        if gain > most:
+            best, most = other, gain
+    return best
+
+
+def _gain(one: Network, other: Network) -> float:
+    """Return the logarithm of how much likelier, by independent sightings, another solution is."""
+    there = replace(one, states=other.states, path=other.path, priors=other.priors)
+    return (cost_of(one) - cost_of(there)) / one.repeats
+
+
+def _unpulled(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
+    """Adjust all parameters, and widen deviations by which intrinsics are too far off.
+
+    One camera's are widened at a time, those pulled the most: others yield to a wrong one too.
+    """
+    whole, by = _whole(built, links, body), built.network.rules
+    for _ in range(by.most_doubts):
+        network, priors = whole.network, list(built.network.priors)
+        pulls = np.array([of.pulls(at) for of, at in zip(priors, network.states, strict=True)])
+        k = int(np.argmax(pulls.max(axis=1)))
+        most = float(pulls[k].max())
+        if most <= by.most_pull or priors[k].pose_is_known:  # whose errors have effects as large
+            break
+        priors[k] = priors[k].less_certain(*np.where(pulls[k] == most, most, 1.0))
+        built = replace(built, network=replace(built.network, priors=priors))
+        whole = _whole(built, links, body)
+    return whole
 
 
 def _supported(

@@ -49,6 +49,7 @@ class Link:
     factor: Array | None = None
     """(7, 7) lower Cholesky factor of the covariance of offset [s], turn, direction [rad] and skew,
     for two event cameras whose tangents tell more than their sightings."""
+    contradicts: bool = False  # what the pair sees contradicts the intrinsics in its rig
 
     def offset_off_s(self, a: CameraState, b: CameraState) -> Array:
         """Return the link's offset less that of two states (1,) [s]."""
@@ -114,6 +115,21 @@ def _between(a: CameraState, b: CameraState) -> tuple[Array, Array]:
     R = b.R @ a.R.T
     t = b.t - R @ a.t
     return R, t / np.linalg.norm(t)
+
+
+def suspects(links: Mapping[Pair, Link]) -> set[int]:
+    """Return the cameras in all pairs that contradict their rig; if none is, those in any of these.
+
+    A wrong one contradicts half of its pairs or more: one of many, as of cameras that face each
+    other, contradicts the rig by chance.
+    """
+    wrong = [pair for pair, link in links.items() if link.contradicts]
+    anywhere = set[int]().union(*wrong)
+    return {
+        k
+        for k in anywhere.intersection(*wrong) or anywhere
+        if 2 * sum(k in pair for pair in wrong) >= sum(k in pair for pair in links)
+    }
 
 
 def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ssac.arrays import Array, Mask
-from ssac.camera import READOUT_STD_S, Camera
+from ssac.camera import READOUT_STD_S, Camera, with_deviations
 from ssac.clock import PPM, Clock
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
@@ -17,7 +17,7 @@ from ssac.network import state as layout
 from ssac.network.adjustment import Network, border_offsets, fit_of
 from ssac.network.align import Similarity
 from ssac.network.build import Built, build
-from ssac.network.graph import Link, Pair, Triple, closures_s, factor_of, groups
+from ssac.network.graph import Link, Pair, Triple, closures_s, factor_of, groups, suspects
 from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
 from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times
@@ -43,7 +43,7 @@ class CameraAnswer:
     R: Array | None = None  # (3, 3) x_k = R x_1 + t
     t: Array | None = None  # (3,)
     pose_covariance: Array | None = None  # (6, 6) of a small turn [rad] after R, and of t
-    calibration: Camera | None = None  # found in place of the rig's, where pairs contradict it
+    calibration: Camera | None = None  # found in place of the rig's, where that is contradicted
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) first camera's clock
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     n_samples: int = 0
@@ -93,6 +93,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     """Return the estimate of the k-th camera of a network."""
     network = built.network
     state, seen, fit = network.states[k], network.cameras[k], fit_of(network, k)
+    prior = network.priors[k]
     used_s = network_times(state, seen)[fit.used]
     t_ref_s = 0.5 * float(used_s[0] + used_s[-1])
     own_s = (t_ref_s + state.delay_s - state.rate * state.middle_s) / (1.0 - state.rate)
@@ -117,7 +118,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         R=state.R,
         t=state.t,
         pose_covariance=covariance[pose, pose],
-        calibration=_calibration(seen.camera, state, deviations),
+        calibration=_calibration(seen.camera, state, deviations) if prior.in_doubt else None,
         knots_s=state.network_from_own(state.knots_s),
         strays_s=state.strays_s / (1.0 - state.rate),
         n_samples=int(np.count_nonzero(fit.used)),
@@ -203,7 +204,9 @@ class NetworkAnswer:
         return "; ".join(said)
 
 
-def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
+def link_of(
+    estimate: Estimate, guess: Guess | None, of_events: bool = False, contradicts: bool = False
+) -> Link | None:
     """Return the link of a pair, with a factor if it is `of_events`; None if nothing is known.
 
     An estimate with an offset must have a `t_ref_s`: at other times the network's rates add to it.
@@ -218,14 +221,16 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     cost = guess.cost if guess is not None else estimate.d_avg_px
     pose = (estimate.R, estimate.t) if estimate.status == Status.OK else (None, None)
     factor = factor_of(estimate) if of_events else None
-    return Link(clock, estimate.has_offset, cost, *pose, factor)
+    return Link(clock, estimate.has_offset, cost, *pose, factor, contradicts)
 
 
-def _priors_of(seen: Sightings, config: Config, pose_is_known: bool) -> Priors:
+def _priors_of(seen: Sightings, config: Config, pose_is_known: bool, is_suspect: bool) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
     may_wander = config.clock == "pieces" or (seen.has_frames and config.clock != "affine")
-    std = np.array(seen.camera.intrinsics_std_px, dtype=np.float64)
-    focal = std[:2] / np.diag(seen.camera.K)[:2]
+    is_exact = not any(seen.camera.intrinsics_std_px)
+    camera = with_deviations(seen.camera) if is_suspect and is_exact else seen.camera
+    std = np.array(camera.intrinsics_std_px, dtype=np.float64)
+    focal = std[:2] / np.diag(camera.K)[:2]
     return Priors(
         rate=PPM * config.prior_ppm,
         readout_s=READOUT_STD_S if seen.has_frames and seen.camera.readout_s is None else 0.0,
@@ -233,6 +238,7 @@ def _priors_of(seen: Sightings, config: Config, pose_is_known: bool) -> Priors:
         centre_px=(float(std[2]), float(std[3])),
         roughness=PPM * config.roughness_ppm if may_wander and config.prior_ppm else 0.0,
         pose_is_known=pose_is_known,
+        is_suspect=is_suspect,
     )
 
 
@@ -252,7 +258,10 @@ def solve_network(
     listed, built_all, rules = list(cameras), list[Built](), config.rules
     prior_ppm = config.resolved(any(seen.has_frames for seen in listed)).prior_ppm
     config = replace(config, skew_prior_ppm=prior_ppm)
-    priors = [_priors_of(seen, config, pose_is_known) for seen in listed]
+    suspect = suspects(links)
+    priors = [
+        _priors_of(seen, config, pose_is_known, k in suspect) for k, seen in enumerate(listed)
+    ]
     answers = [
         CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
     ]

@@ -240,3 +240,17 @@ class Priors:
     roughness: float  # change of the rate from one piece of its clock to the next
     expected_rate: float = 0.0
     pose_is_known: bool = False  # it is held where the pairs place it
+    is_suspect: bool = False  # pairs contradict its intrinsics
+    in_doubt: bool = False  # its intrinsics' deviations are wider than the rig's
+
+    def pulls(self, state: CameraState) -> Array:
+        """By how many deviations (2,) focal lengths, and the principal point, are off the rig's."""
+        both = np.array([[state.focal, state.centre_px], [self.focal, self.centre_px]])
+        shares = np.abs(both[0]) / np.where(both[1] > 0.0, both[1], np.inf)
+        return np.asarray(shares.max(axis=1))
+
+    def less_certain(self, of_focal: float, of_centre: float) -> "Priors":
+        """Widen the intrinsics' deviations by these factors."""
+        (fu, fv), (pu_px, pv_px) = self.focal, self.centre_px
+        focal, centre_px = (of_focal * fu, of_focal * fv), (of_centre * pu_px, of_centre * pv_px)
+        return replace(self, focal=focal, centre_px=centre_px, in_doubt=True)

@@ -1,6 +1,6 @@
 """Clocks and poses of all cameras of a rig, and the object's path, from all its pairs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -211,11 +211,6 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             note = "--distance is not used: cameras 1 and 2 are not both in the only network"
         quanta_s = [quantum_s(chain.clean(k)) for k in range(len(chain))]
         answer = rounded_by(answer, quanta_s)
-        cameras = [
-            replace(found, calibration=None) if as_doubted(k, camera, pairs) is camera else found
-            for k, (found, camera) in enumerate(zip(answer.cameras, chain.rig.cameras, strict=True))
-        ]
-        answer = replace(answer, cameras=cameras)
         ground = None
         try:
             answer, ground = grounded(answer, known, chain.config.rules)
@@ -245,7 +240,7 @@ def solve_pairs(
         if estimate.has_offset and not np.isfinite(estimate.t_ref_s):  # it has no skew
             middle_s = 0.5 * sum(answer.paired.common_s(estimate.t_d_s))
             estimate = replace(estimate, t_ref_s=middle_s)
-        link = link_of(estimate, answer.guess, of_events)
+        link = link_of(estimate, answer.guess, of_events, bool(answer.misfit))
         if link is not None and all(len(seen[k]) > 1 for k in pair):
             links[pair] = link
     posed = all(answer.method.needs_extrinsics for answer in pairs.values())
@@ -382,7 +377,7 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     clean = answer.cleans[place]
     # An answer may be of other windows than were asked for; so is then the track.
     config = answer.config if answer.estimate.has_offset else chain.config
-    rules, camera = config.rules.points, as_doubted(k, clean.camera, pairs)
+    rules, camera = config.rules.points, clean.camera
     try:
         if clean.track is not None:
             shaped = ShapedTrack(clean.track, None)
@@ -397,28 +392,6 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     has_frames = clean.has_track and not clean.n_followed
     camera = camera if has_frames else replace(camera, readout_s=None)  # events have no rows
     return sightings(shaped, camera, name, has_frames, rules)
-
-
-def as_doubted(k: int, camera: Camera, pairs: Mapping[Pair, Answer]) -> Camera:
-    """Enlarge a camera's deviations if it is in all pairs that contradict their rig.
-
-    If no camera is in all of these, any of theirs may be wrong. A wrong one contradicts half of its
-    pairs or more: one of many, as of cameras that face each other, contradicts the rig by chance.
-    """
-    rigs = {
-        pair: answer.less_certain
-        for pair, answer in pairs.items()
-        if answer.less_certain and answer.misfit
-    }
-    anywhere, own = set[int]().union(*rigs), [pair in rigs for pair in pairs if k in pair]
-    if k not in (anywhere.intersection(*rigs) or anywhere) or 2 * sum(own) < len(own):
-        return camera
-    stds_px = [
-        (rig.cam1, rig.cam2)[pair.index(k)].intrinsics_std_px
-        for pair, rig in rigs.items()
-        if k in pair
-    ]
-    return replace(camera, intrinsics_std_px=max(stds_px))
 
 
 _NUMBERS = (
