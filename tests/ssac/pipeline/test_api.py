@@ -154,10 +154,7 @@ WRONG = [
     ((ONE, None, RIG), rf"^camera 2: {A_CAMERA}.* got NoneType None$"),
     ((np.zeros((5, 4)), OTHER, RIG), r"^camera 1: .*without t, x, y, p: build it"),
     ((Observation(ONE[::-1], name="left.h5"), OTHER, RIG), r"^left\.h5: events must be sorted"),
-    (
-        ([(1, 2, 3, 4)], OTHER, RIG),
-        r"^sync: a list of cameras .* call sync\(\[a, b, c\], rig, me",
-    ),
+    (([(1, 2, 3, 4)], OTHER, RIG), r"^sync: a list of cameras .* call sync\(\[a, b, c\], rig, me"),
     (([(1, 2, 3, 4), (2, 3, 4, 5)], RIG), "^camera 1: .* got tuple"),
     (([], RIG), "^sync: expected two cameras or more, got a list of 0$"),
     (([ONE, OTHER], RIG, "joint"), "beside it stands their rig"),

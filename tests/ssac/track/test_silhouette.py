@@ -134,10 +134,8 @@ def test_other_objects_are_no_part_of_a_silhouette() -> None:
     other = recorded(corner, 0.0)[0].copy()
     other["y"] += 12
     seen = Clean(events, camera=CAMERA, denoised=True, recorded=lambda: merged(events, other))
-    (alone, beside) = (
-        shaped_track_of(replace(seen, **more), Config())
-        for more in ({"recorded": lambda: events}, {"used": ObjectsUsed(2, 0.5)})
-    )
+    alone = shaped_track_of(replace(seen, recorded=lambda: events), Config())
+    beside = shaped_track_of(replace(seen, used=ObjectsUsed(2, 0.5)), Config())
     np.testing.assert_array_equal(beside.spreads_px2, alone.spreads_px2)
 
 
