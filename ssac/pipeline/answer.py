@@ -23,6 +23,7 @@ from ssac.track.observation import Observation
 Log = Callable[[str], None]
 
 NO_READOUT = "the rig states no readout_s"
+CONTRADICTS = "what is seen contradicts the rig"
 
 
 def quiet(line: str) -> None:
@@ -107,7 +108,7 @@ class Answer:
             )
         if self.misfit:
             said.append(
-                f"what is seen contradicts the rig: {self.misfit}; its intrinsics count as less"
+                f"{CONTRADICTS}: {self.misfit}; its intrinsics count as less"
                 " certain than it says, and the deviations are the larger for it: calibrate again"
             )
         elif self.less_certain is not None:

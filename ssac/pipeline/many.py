@@ -22,7 +22,7 @@ from ssac.network.ground import Ground, PlacesError, ground_of_positions, ground
 from ssac.network.solve import CameraAnswer, NetworkAnswer, link_of, rounded_by, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
-from ssac.pipeline.answer import NO_READOUT, Answer, Log, Stopwatch
+from ssac.pipeline.answer import CONTRADICTS, NO_READOUT, Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.pipeline.report import Rows, html_of, numbered, plain, text_of, vector
@@ -86,11 +86,14 @@ class NetworkResult:
                 sigma = ", ".join(f"{one:.2g}" for one in camera.calibration.intrinsics_std_px[:2])
                 rows.append(("", f"not as in the rig: focal lengths {focals} px, 1 sigma {sigma}"))
         finds = [camera.readout_std_s > 0.0 for camera in answer.cameras]
+        as_stated = [camera.group and camera.calibration is None for camera in answer.cameras]
         notes = dict[str, list[str]]()  # by note, the pairs to which it applies
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
                 if note.startswith(NO_READOUT) and finds[a] and finds[b]:
                     continue  # the network tells them
+                if note.startswith(CONTRADICTS) and as_stated[a] and as_stated[b]:
+                    continue  # all cameras together do not
                 notes.setdefault(numbered(note, (a, b)), []).append(f"{a + 1}-{b + 1}")
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():
