@@ -434,7 +434,7 @@ class NetworkRules:
     most_pieces: int = 100  # of a clock, at most
     aspect_share: float = 0.2  # of the focal lengths' difference: focus changes both
     # Of a camera's intrinsics, in deviations; beyond, these are wider: 2.4 at most with right rigs,
-    # 3.3 to 6 with a focal length 1 % off, on `outdoor`'s flights 0, 2, 3, 6 with three cameras.
+    # 3.3 to 6 with a focal length 1 % off (outdoor, seeds 76000, -2, -3, -6, three cameras).
     most_pull: float = 3.0
     most_doubts: int = 8  # times that deviations are widened
     suspect_times: float = 100.0  # by which the intrinsics of cameras that pairs suspect are freed
