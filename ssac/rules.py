@@ -438,9 +438,9 @@ class NetworkRules:
     most_pull: float = 3.0
     most_doubts: int = 8  # times that deviations are widened
     suspect_times: float = 100.0  # by which the intrinsics of cameras that pairs suspect are freed
-    # By how much, for each suspect, that raises the logarithm of the likelihood, at least. On these
-    # flights: 8 at most for two suspects with right rigs, 84 or more for one 10 to 30 % off.
-    least_gain: float = 6.0
+    # By how much, for each suspect, that raises the logarithm of the likelihood, at least: log(100)
+    # for each of two values that may then be anywhere, and some more. One 10 to 30 % off gives 84.
+    least_gain: float = 12.0
     # Lag of events behind the object, its deviation common to all cameras, and each camera's own:
     # 0.2 px with noise, 0.1 px ideal, within 0.03 px in one kind (flights 900 to 903).
     behind_px: float = 0.15
