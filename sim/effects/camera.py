@@ -172,25 +172,19 @@ def _blur(sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights,
                 behind = background[sharp_y0[k] + j, sharp_x0[k] + i]
                 difference = sharp[k, j, i] - behind
                 if difference != 0.0:
-                    first, last = _repeats(sharp_x0[k] + i, background.shape[1], reach)
-                    for x0 in range(dx + i + first - reach, dx + i + last - reach + 1):
-                        for w in range(max(0, -x0), min(weights.size, width - x0)):
-                            rows[j, x0 + w] += weights[w] * difference
+                    for w in range(weights.size):
+                        x = dx + i + w - reach
+                        if 0 <= x < width:
+                            rows[j, x] += weights[w] * difference
         for j in range(height):
             for i in range(width):
                 out[k, j, i] = blurred[y0_px[k] + j, x0_px[k] + i]
         for j in range(sharp.shape[1]):
-            first, last = _repeats(sharp_y0[k] + j, background.shape[0], reach)
-            for y0 in range(dy + j + first - reach, dy + j + last - reach + 1):
-                for w in range(max(0, -y0), min(weights.size, height - y0)):
+            for w in range(weights.size):
+                y = dy + j + w - reach
+                if 0 <= y < height:
                     for i in range(width):
-                        out[k, y0 + w, i] += weights[w] * rows[j, i]
-
-
-@njit(cache=True, nogil=True)
-def _repeats(place, size, reach):
-    """Return from where to where a pixel repeats: one at the border does so beyond it."""
-    return -reach if place == 0 else 0, reach if place == size - 1 else 0
+                        out[k, y, i] += weights[w] * rows[j, i]
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:

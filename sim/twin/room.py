@@ -62,8 +62,7 @@ def room_events(
     if config.light_std or config.shadow:
         frames = _frames(config, view, scene, hanging, seed, index)
         rngs = (generator(seed, _PHASE_STREAM, index, *pixels) for pixels in ((), (1,)))
-        (_, (first,)) = next(frames)
-        streams.append(slow_events(first, frames, sensor, *rngs))
+        streams.append(slow_events(scene.backgrounds[index], frames, sensor, *rngs))
     if config.wire_m:
         rng = generator(seed, _WIRE_STREAM, index)
         streams.append(_wire(config, view, camera, hanging, sensor, rng))
@@ -79,9 +78,9 @@ def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:
 def _frames(
     config: RoomConfig, view: View, scene: Scene, hanging: Hanging, seed: int, index: int
 ) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield times (n,) [s] and images (n, height, width) of the lit wall: one at 0 s, batches."""
+    """Yield batches of times (n,) [s] and images (n, height, width) of the lit, shadowed wall."""
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
-    times_s: FloatArray = view.duration_s * np.arange(n + 1) / n
+    times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     gains = np.exp(_light(config.light_std, times_s, generator(seed, _LIGHT_STREAM)))
     # The hand is far out of view, where no lens model holds: project a point a wire's length below.
     first_s = np.zeros(1)
@@ -93,8 +92,8 @@ def _frames(
     rows, columns = np.indices((view.height, view.width), dtype=np.float32, sparse=True)
     gains, centres = gains.astype(np.float32), centres.astype(np.float32)
     wall = scene.backgrounds[index]
-    for start in (0, *range(1, n + 1, _BATCH)):
-        chunk = slice(start, start + _BATCH if start else 1)
+    for start in range(0, n, _BATCH):
+        chunk = slice(start, start + _BATCH)
         u, v = (centres[chunk, k, None, None] for k in (0, 1))
         images = gains[chunk, None, None] * wall
         if config.shadow:

@@ -387,8 +387,7 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
         elif len(chain) < LEAST_VIEWS:  # too few for the perspective of silhouettes
             shaped = ShapedTrack(track_of_events(clean, config), None)
         else:
-            # Others' events would be counted as its silhouette.
-            events = clean.events if clean.used.share < 1.0 else chain.recorded(k).events
+            events = chain.recorded(k).events
             shaped = shaped_track_of_events(clean, events, config)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)

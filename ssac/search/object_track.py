@@ -40,7 +40,7 @@ def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
     config = replace(config, rules=seen)
     key = "shaped", config.windows, seen.track, seen.silhouette
     if key not in clean.kept:
-        events = clean.events_of_object()
+        events = clean.all_events()
         if events is None:
             return None
         clean.kept[key] = shaped_track_of_events(clean, events, config)

@@ -72,10 +72,6 @@ class Clean(Observation):
             return self.events
         return None if self.recorded is None else self.recorded()
 
-    def events_of_object(self) -> Events | None:
-        """Return all events (n,) with the noise, or the used object's alone if there are others."""
-        return self.events if self.used.share < 1.0 else self.all_events()
-
     def on_clock(
         self, shown_us: Callable[[IntArray], IntArray], shown_s: Callable[[Array], Array]
     ) -> "Clean":

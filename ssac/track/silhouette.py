@@ -249,10 +249,9 @@ def _linked_levels(seen: Seen) -> tuple[Linked, int, int]:
     inside = np.full(shape, never, np.int32)  # last sample with the pixel in the box
     seen_bare = np.zeros(shape, np.bool_)
     rests, closed = 0, 0
-    i = b = 0  # an event's box, and the next that pixels enter: a sample early, but for the first
+    i = 0
     for e in range(m):
-        while b < n and times_us[e] > samples_us[max(b - 1, 0)]:
-            i = b
+        while i < n - 1 and times_us[e] > samples_us[i]:
             for row in range(boxes[i, 2], boxes[i, 3] + 1):
                 for col in range(boxes[i, 0], boxes[i, 1] + 1):
                     if inside[row, col] < i - 1:  # the pixel enters the box
@@ -266,7 +265,7 @@ def _linked_levels(seen: Seen) -> tuple[Linked, int, int]:
                         if i > 0:
                             seen_bare[row, col] = True
                     inside[row, col] = i
-            b += 1
+            i += 1
         col, row = x[e], y[e]
         sign = np.int8(-1 if polarities[e] else 1)
         run[row, col] = run[row, col] + 1 if step[row, col] == sign else 1

@@ -73,12 +73,10 @@ def test_the_events_of_all_pixels_rebuild_one_course_of_the_light():
 def test_a_shadow_is_where_the_hand_is_and_no_deeper_than_it_says():
     events = events_of(RoomConfig(shadow=0.3))
     assert len(events) > 1000
-    # It lies on the wall from the start: the first 20 ms, a fiftieth of the time, are as any.
-    assert np.mean(events["t"] <= 20_000) < 0.1
-    # log(1 / 0.7) = 0.36: a pixel's events add up to at most two thresholds of 0.25 down or up,
+    # log(1 / 0.7) = 0.36: a pixel's events add up to at most two thresholds of 0.25 down or one up,
     # wherever it starts and however often the edge of the shadow comes and goes.
     steps = pd.Series(2 * events["p"].astype(int) - 1)
-    assert steps.groupby([events["y"], events["x"]]).cumsum().between(-2, 2).all()
+    assert steps.groupby([events["y"], events["x"]]).cumsum().between(-2, 1).all()
     # The shadow follows the hand, which is out of view, one length of the wire below the hand.
     hand_m, camera = hanging_of(WALLS, 0).hand(1e-6 * events["t"]), WALLS.scene(0).rig.cameras[0]
     assert camera.project(hand_m)[:, 1].max() < 0.0

@@ -8,13 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac import Camera
-from ssac.config import Config
 from ssac.events import events_from_arrays
 from ssac.rules import BodyRules, SilhouetteRules
-from ssac.search.object_track import shaped_track_of
 from ssac.track import moments
 from ssac.track.body import Look, body_moves
-from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.silhouette import Silhouettes, silhouettes
 from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 from tests.ssac.cluttered import merged, noise
@@ -117,26 +114,6 @@ def test_the_centre_of_the_area_is_found_whichever_way_it_moves(
     # The blur of an edge by a pixel widens the image; its faint half, without events, narrows it.
     scale = np.trace(spread)
     assert told == pytest.approx([spread[0, 0], spread[0, 1], spread[1, 1]], abs=0.08 * scale)
-
-
-def test_a_fast_object_is_whole_though_it_enters_pixels_between_two_samples() -> None:
-    events, times_s, centres, spread = recorded(disc, 37.0)
-    fast = events.copy()
-    fast["t"] //= 15  # 3000 px/s: by 30 px from sample to sample
-    found = found_of(fast, times_s[::15] / 15.0, centres[::15], spread)
-    assert found.known[len(found.known) // 2 :].all()
-    assert off_px(found, centres[::15])[1] < 0.05
-    assert found.spreads_px2[found.known].mean(axis=0)[0] == pytest.approx(spread[0, 0], rel=0.08)
-
-
-def test_other_objects_are_no_part_of_a_silhouette() -> None:
-    events = recorded(disc, 0.0)[0]
-    other = recorded(corner, 0.0)[0].copy()
-    other["y"] += 12
-    seen = Clean(events, camera=CAMERA, denoised=True, recorded=lambda: merged(events, other))
-    alone = shaped_track_of(replace(seen, recorded=lambda: events), Config())
-    beside = shaped_track_of(replace(seen, used=ObjectsUsed(2, 0.5)), Config())
-    np.testing.assert_array_equal(beside.spreads_px2, alone.spreads_px2)
 
 
 @pytest.mark.parametrize("luminance", [DARK, BRIGHT])
