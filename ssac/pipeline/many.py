@@ -380,7 +380,6 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     clean = answer.cleans[place]
     # An answer may be of other windows than were asked for; so is then the track.
     config = answer.config if answer.estimate.has_offset else chain.config
-    rules, camera = config.rules.points, clean.camera
     try:
         if clean.track is not None:
             shaped = ShapedTrack(clean.track, None)
@@ -392,8 +391,9 @@ def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Si
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     has_frames = clean.has_track and not clean.n_followed
-    camera = camera if has_frames else replace(camera, readout_s=None)  # events have no rows
-    return sightings(shaped, camera, name, has_frames, rules)
+    # Events have no rows.
+    camera = clean.camera if has_frames else replace(clean.camera, readout_s=None)
+    return sightings(shaped, camera, name, has_frames, config.rules.points)
 
 
 _NUMBERS = (
